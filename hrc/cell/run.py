@@ -1,0 +1,60 @@
+"""The one driver of a cell: headless, live and replay."""
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import Protocol
+
+from hrc.cell.cell import Cell
+from hrc.cell.pace import Pacer
+from hrc.cell.scenario import Scenario
+from hrc.errors import HrcError
+from hrc.events import Event
+from hrc.messages import Snapshot
+
+
+class Observer(Protocol):
+    """Sees every snapshot; must return quickly and never blocks on disk, network or encoding."""
+
+    def on_step(self, snapshot: Snapshot) -> None:
+        """One step has been taken."""
+        ...
+
+
+class Inbox:
+    """Events on their way to the cell: those of a scenario at their ticks, and those anybody puts, from any thread."""
+
+    def __init__(self, script: Scenario | None = None, base_hz: int = 1000) -> None:
+        self._scripted: dict[int, list[Event]] = {}
+        for time, event in script.events if script is not None else ():
+            self._scripted.setdefault(round(time * base_hz), []).append(event)
+        self._put: deque[Event] = deque()
+
+    def put(self, event: Event) -> None:
+        """Hand in an event for the next tick. Safe from any thread: a deque's append is atomic."""
+        self._put.append(event)
+
+    def take(self, tick: int) -> list[Event]:
+        """Everything due before the step that follows `tick`: the script's first, then the others in order."""
+        due = list(self._scripted.get(tick, ()))
+        while self._put:
+            due.append(self._put.popleft())
+        return due
+
+
+def run(cell: Cell, pacer: Pacer, inbox: Inbox, observers: Iterable[Observer], *, until: int,
+        stopped: Callable[[], bool] = lambda: False) -> None:
+    """Step the cell until its tick is `until`, or `stopped()` says so.
+
+    An event that cannot be is noted in the next snapshot's `refused`, and nothing else happens.
+    """
+    watchers = tuple(observers)
+    while cell.tick < until and not stopped():
+        for _ in range(min(pacer.steps_due(), until - cell.tick)):
+            for event in inbox.take(cell.tick):
+                try:
+                    cell.apply(event)
+                except HrcError as error:
+                    cell.refuse(event, str(error))
+            snapshot = cell.step()
+            for watcher in watchers:
+                watcher.on_step(snapshot)

@@ -1,0 +1,101 @@
+"""Scenario files: a title, a duration, parameters, and events at their times; TOML, for people to copy and change."""
+
+import math
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hrc.config import Config
+from hrc.errors import ConfigError, EventError, ScenarioError, unknown
+from hrc.events import Event, from_dict
+from hrc.parameters import replaced
+from hrc.paths import assets
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """What happens in a run. duration [s]; settings: parameters by key; events: (time [s], event), in order."""
+
+    name: str
+    title: str
+    description: str
+    duration: float
+    settings: dict[str, Any]
+    events: tuple[tuple[float, Event], ...]
+
+    def configured(self, config: Config) -> Config:
+        """The config with this scenario's settings. Raises ScenarioError for one that cannot be."""
+        for key, value in self.settings.items():
+            try:
+                config = replaced(config, key, value)
+            except ConfigError as error:
+                raise ScenarioError(f"scenario {self.name}: {error}") from None
+        return config
+
+
+def names() -> list[str]:
+    """The scenarios that come with the project."""
+    return sorted(path.stem for path in _folder().glob("*.toml"))
+
+
+def load(name_or_path: str | Path) -> Scenario:
+    """A scenario by its name, or by the path of its file. Raises ScenarioError with the line and the reason."""
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        if str(name_or_path) not in names():
+            raise ScenarioError(unknown("scenario", str(name_or_path), names()) + " A path must end in .toml.")
+        path = _folder() / f"{name_or_path}.toml"
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"the scenario file {path} cannot be read: {error}") from None
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ScenarioError(f"{path.name}: {error}") from None
+    return _scenario(path.stem, path.name, text, table)
+
+
+def _scenario(name: str, file: str, text: str, table: dict[str, Any]) -> Scenario:
+    known = ("title", "description", "duration", "set", "event")
+    for key in table:
+        if key not in known:
+            raise ScenarioError(f"{file}, line {_line(text, key)}: {unknown('entry', key, known)}")
+    duration = table.get("duration")
+    if isinstance(duration, bool) or not isinstance(duration, (int, float)) or not 0 < duration < 1e6:
+        raise ScenarioError(f"{file}, line {_line(text, 'duration')}: duration must be seconds above 0, not {duration!r}")
+    settings, listed = table.get("set", {}), table.get("event", [])
+    if not isinstance(settings, dict) or not isinstance(listed, list) or not all(isinstance(e, dict) for e in listed):
+        raise ScenarioError(f'{file}: "set" must be a table of parameters, and events are written as [[event]]')
+    scenario = Scenario(name, str(table.get("title", name)), str(table.get("description", "")), float(duration),
+                        dict(settings), _events(file, text, listed))
+    scenario.configured(Config())
+    return scenario
+
+
+def _events(file: str, text: str, listed: list[dict[str, Any]]) -> tuple[tuple[float, Event], ...]:
+    lines = [i for i, line in enumerate(text.splitlines(), 1) if re.match(r"\s*\[\[\s*event\s*\]\]", line)]
+    events: list[tuple[float, Event]] = []
+    for index, entry in enumerate(listed):
+        where = f"{file}, line {lines[index]}" if index < len(lines) else f"{file}, event {index + 1}"
+        values = dict(entry)
+        time = values.pop("t", None)
+        if isinstance(time, bool) or not isinstance(time, (int, float)) or not 0 <= time < math.inf:
+            raise ScenarioError(f"{where}: an event needs its time t in seconds, from 0 on; it has {time!r}")
+        try:
+            events.append((float(time), from_dict(values)))
+        except EventError as error:
+            raise ScenarioError(f"{where}: {error}") from None
+    return tuple(sorted(events, key=lambda e: e[0]))
+
+
+def _line(text: str, key: str) -> int:
+    """The line where a top-level key stands, 1 if it is missing."""
+    pattern = re.compile(rf"\s*\[*\s*{re.escape(key)}\b")
+    return next((i for i, line in enumerate(text.splitlines(), 1) if pattern.match(line)), 1)
+
+
+def _folder() -> Path:
+    return assets() / "scenarios"

@@ -1,0 +1,108 @@
+"""The control laws, Eq. (6)-(7) and (11)-(15), as functions without memory.
+
+`J#` is damped where a singular value is small; the projectors come from the SVD's row space, undamped, because
+I - J#J with a damped J# is no projector.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+EPSILON, DAMPING = 0.05, 0.05
+"""Singular values of a task Jacobian below EPSILON [m] are damped, by DAMPING [m] at zero."""
+EPSILON_C = 0.1
+"""The same for a contact Jacobian, whose directions fade near the elbow."""
+MOBILITY = (0.02, 0.1)
+"""|P J_c^T F|^2 / |F|^2 [m2] below which the null space cannot help the contact point along F, and above which it can."""
+RANK = 1e-3
+"""A singular value below this [m] is none: its direction belongs to the null space."""
+
+
+class Inverse(NamedTuple):
+    """pinv: J#, shape (7, 3). projector: P = I - V V^T over J's row space, shape (7, 7)."""
+
+    pinv: Array
+    projector: Array
+
+
+def inverse(J: Array, epsilon: float = EPSILON, damping: float = DAMPING) -> Inverse:
+    """J# and P of a Jacobian (m, 7), from one SVD."""
+    U, S, Vt = np.linalg.svd(J, full_matrices=False)
+    weak = np.clip(1.0 - (S / epsilon) ** 2, 0.0, 1.0)
+    gain = S / np.maximum(S * S + weak * damping**2, 1e-12)
+    V = Vt[S > RANK].T
+    return Inverse((Vt.T * gain) @ U.T, np.eye(J.shape[1]) - V @ V.T)
+
+
+def saturated(v: Array, limit: float) -> Array:
+    """v, shortened to `limit` if it is longer."""
+    length = float(np.sqrt(v @ v))
+    return v * (limit / length) if length > limit else v
+
+
+def task_velocity(pinv: Array, dx_d: Array, error: Array, k_p: float, v_max: float) -> Array:
+    """J#(dx_d + K_p (x_d - x)) [rad/s] (7,), Eq. (11), with the feedback held to v_max [m/s]."""
+    return pinv @ (dx_d + saturated(k_p * error, v_max))
+
+
+def posture_velocity(q: Array, q_d: Array, k_0: float) -> Array:
+    """dq_0 = K_0 (q_d - q) [rad/s] (7,), the first branch of Eq. (12)."""
+    return k_0 * (q_d - q)
+
+
+def relax_velocity(J_c: Array, P: Array, F: Array, k_f: float, threshold: float) -> Array:
+    """The force term of Eq. (12) that gives way for real: (J_c P)# K_f F beyond the threshold [rad/s] (7,).
+
+    Printed, the term is J_c# K_f F, projected by P afterwards; that projection can turn the contact point INTO the
+    push. Inverting J_c P instead moves the point along F as far as the task allows, so F . v_c >= 0.
+    threshold [N]: subtracted from |F|, so that the command does not jump at F_relax.
+    """
+    return P @ (inverse(J_c @ P, EPSILON_C).pinv @ (k_f * beyond(F, threshold)))
+
+
+def not_into_the_push(task: Array, null: Array, J_c: Array, P: Array, F: Array) -> Array:
+    """The null-space velocity, changed as little as it takes for F . J_c (task + null) >= 0 [rad/s] (7,).
+
+    Task and posture move the contact point, too, and may move it into the person; the null space gives that way back
+    where it can: fully where it moves the point along F well (the elbow), not at all where it hardly does (the wrist),
+    since there it would swing the whole arm for millimetres.
+    """
+    w = P @ (J_c.T @ F)
+    power = float(F @ (J_c @ (task + null)))
+    mobility = float(w @ w) / max(float(F @ F), 1e-12)
+    share = float(np.clip((mobility - MOBILITY[0]) / (MOBILITY[1] - MOBILITY[0]), 0.0, 1.0))
+    if power >= 0.0 or share == 0.0:
+        return null
+    return null - w * (share * power / float(w @ w))
+
+
+def relax_velocity_printed(J_c: Array, F: Array, k_f: float) -> Array:
+    """J_c# K_f F as printed in Eq. (12) [rad/s] (7,), before the projection by P."""
+    return inverse(J_c, EPSILON_C).pinv @ (k_f * F)
+
+
+def beyond(F: Array, threshold: float) -> Array:
+    """F with `threshold` taken off its length; zero below."""
+    length = float(np.sqrt(F @ F))
+    return F * (1.0 - threshold / length) if length > threshold else np.zeros(3)
+
+
+def admittance_velocity(F: Array, error: Array, k_a: float, k_e: float, v_max: float) -> Array:
+    """dx_c = K_a (F + K_e (x_cd - x_c)) [m/s] (3,), Eq. (6), held to v_max [m/s]."""
+    return saturated(k_a * (F + k_e * error), v_max)
+
+
+def with_forgetting(null: Array, P: Array, dq_issued: Array, lam: float, *, unit_gain: bool) -> Array:
+    """The null-space part with memory of the last command [rad/s] (7,), Eq. (15).
+
+    Printed, dq_0 + lambda P dq_{k-1} amplifies a constant dq_0 by 1 / (1 - lambda) = 5; with unit_gain the new part is
+    weighted by (1 - lambda).
+    """
+    return (1.0 - lam if unit_gain else 1.0) * null + lam * (P @ dq_issued)
+
+
+def blend(h: int, n_s: int) -> float:
+    """alpha = h / N_s, held at 1, Eq. (14)."""
+    return min(1.0, h / n_s)

@@ -1,0 +1,62 @@
+"""Limits below every law: joint position, velocity and acceleration, the null space giving way before the task."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+BRAKE = 10.0
+"""Near a position limit the velocity towards it is held to BRAKE [1/s] times the distance left."""
+MARGIN = 0.05
+"""Distance kept from a position limit [rad]."""
+
+
+class Limited(NamedTuple):
+    """dq: the command within the limits [rad/s] (7,). task: the part of the task velocity that was kept, 0..1."""
+
+    dq: Array
+    task: float
+
+
+def velocity_bounds(q: Array, q_min: Array, q_max: Array, dq_max: Array) -> tuple[Array, Array]:
+    """The least and the greatest joint velocity [rad/s] (7,) from which a position limit can still be kept."""
+    upper = np.minimum(dq_max, np.maximum(0.0, BRAKE * (q_max - MARGIN - q)))
+    lower = -np.minimum(dq_max, np.maximum(0.0, BRAKE * (q - q_min - MARGIN)))
+    return lower, upper
+
+
+def limited(task: Array, null: Array, bounds: tuple[Array, Array], issued: Array, step: float) -> Limited:
+    """task + null within velocity bounds [rad/s] (7,) and no more than `step` [rad/s] from the last command.
+
+    The null-space part is scaled first, and as little as possible; the task only when it fits with no part of the null
+    space. A position limit that has come nearer than the acceleration limit foresaw wins against it.
+    """
+    lower, upper = bounds
+    near = np.clip(issued - step, lower, upper), np.clip(issued + step, lower, upper)
+    kept = _largest_scale(task, null, *near)
+    if kept is not None:
+        return Limited(np.clip(task + kept * null, *near), 1.0)
+    kept, share = _largest_scale(task, null, lower, upper), 1.0
+    if kept is None:
+        share = _largest_scale(np.zeros_like(task), task, lower, upper) or 0.0
+        wanted = share * task
+    else:
+        wanted = task + kept * null
+    # Too great a change: go part of the way, all joints alike, so that the motion keeps its direction.
+    change = wanted - issued
+    size = float(np.abs(change).max())
+    return Limited(np.clip(issued + change * min(1.0, step / max(size, 1e-12)), lower, upper), share)
+
+
+def _largest_scale(base: Array, direction: Array, lower: Array, upper: Array) -> float | None:
+    """The largest k in 0..1 with lower <= base + k direction <= upper, None if there is none."""
+    slack = 1e-12
+    still = np.abs(direction) < slack
+    if np.any(still & ((base < lower - slack) | (base > upper + slack))):
+        return None
+    slope = np.where(still, 1.0, direction)
+    ends = np.sort(np.stack([(lower - base) / slope, (upper - base) / slope]), axis=0)
+    least = np.where(still, 0.0, ends[0]).max(initial=0.0)
+    most = np.where(still, 1.0, ends[1]).min(initial=1.0)
+    return float(most) if least <= most + slack and most >= 0.0 else None

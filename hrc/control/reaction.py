@@ -1,0 +1,277 @@
+"""The reaction to contact: Eq. (13) as a state machine over the laws, with its transitions and limits.
+
+    IDLE --|F| > F_relax--> RELAX --|F| > F_abort--> ABORT --contact gone, error recovered--> IDLE
+    any of IDLE, RELAX --contact without a point--> UNSEEN --contact gone--> IDLE
+    any --stop()--> STOP --resume()--> IDLE
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrc.control import laws
+from hrc.control.limits import limited, velocity_bounds
+from hrc.control.reference import PathFollower
+from hrc.geometry import apply
+from hrc.jacobian import Terms
+from hrc.messages import Command, Contact, Mode
+from hrc.parameters import Parameters, param
+
+Array = NDArray[np.float64]
+GATE_MARGIN = 1.3
+"""RELAX yields down to this many times the force at which detection would end."""
+ZERO3, ZERO7 = np.zeros(3), np.zeros(7)
+
+
+@dataclass(frozen=True)
+class ReactionConfig(Parameters):
+    """Gains, thresholds and readings of the control laws."""
+
+    f_relax: float = param(5.0, low=0.5, high=100.0, unit="N")
+    """F_relax: above this estimated force the arm gives way without leaving its task."""
+    f_release: float = param(3.0, low=0.0, high=100.0, unit="N")
+    """Below this force a contact counts as gone."""
+    f_abort: float = param(25.0, low=1.0, high=150.0, unit="N")
+    """F_abort: above this estimated force the arm abandons its task and follows the push."""
+    k_0: float = param(5.0, low=0.0, high=20.0, unit="1/s")
+    """K_0: how fast the null space returns to the desired posture, Eq. (12)."""
+    k_f: float = param(0.02, low=0.0, high=0.5, unit="m/s/N")
+    """K_f: how fast the contact point gives way per newton, Eq. (12)."""
+    k_a: float = param(0.005, low=0.0, high=1.0, unit="m/s/N")
+    """K_a: admittance while the task is abandoned, Eq. (6)."""
+    k_e: float = param(350.0, low=0.0, high=5000.0, unit="N/m")
+    """K_e: stiffness that brings the contact point back, Eq. (6)."""
+    k_n: float = param(0.6, low=0.0, high=20.0, unit="1/s")
+    """K_n: how fast the null space of the contact returns to the posture at contact, Eq. (7)."""
+    k_p: float = param(10.0, low=0.0, high=50.0, unit="1/s")
+    """K_p: feedback on the end effector's position, Eq. (11)."""
+    lam: float = param(0.8, low=0.0, high=0.99)
+    """lambda: forgetting factor of the null-space velocity, Eq. (15)."""
+    n_s: int = param(20, low=1, high=400)
+    """N_s: control cycles over which the command is blended when the task is abandoned or resumed, Eq. (14)."""
+    law: str = param("latched", options=("latched", "printed"))
+    """latched: ABORT lasts until the error is recovered, Eq. (15) has unit gain; printed: Eq. (13) and (15) to the letter."""
+    relax_form: str = param("yielding", options=("yielding", "printed"))
+    """yielding: (J_c P)# K_f F, never into the push; printed: P J_c# K_f F, Eq. (12)."""
+    v_contact: float = param(0.25, low=0.01, high=50.0, unit="m/s")
+    """The contact point gives way no faster than this."""
+    v_reconnect: float = param(0.25, low=0.01, high=50.0, unit="m/s")
+    """The end effector returns to its path no faster than this."""
+    ddq_max: float = param(25.0, low=1.0, high=2000.0, unit="rad/s2")
+    """Limit of the commanded joint acceleration."""
+    k_reflex: float = param(0.02, low=0.0, high=0.2, unit="rad/s/(N m)")
+    """Joint-space reflex dq = k r to a contact whose place is not known (an extension of the paper)."""
+    relax_hold: float = param(0.2, low=0.0, high=5.0, unit="s")
+    """RELAX ends when the force has been below f_release for this long."""
+    abort_clear: float = param(0.15, low=0.0, high=5.0, unit="s")
+    """ABORT may end when the force has been below f_release for this long."""
+    abort_error: float = param(0.005, low=0.0005, high=0.1, unit="m")
+    """ABORT may end when the contact point is this near to where it was."""
+    unseen_after: float = param(0.05, low=0.0, high=1.0, unit="s")
+    """A contact without a point for this long starts the reflex."""
+    unseen_hold: float = param(0.3, low=0.0, high=5.0, unit="s")
+    """The reflex ends when no such contact was felt for this long."""
+    resume_time: float = param(0.5, low=0.01, high=10.0, unit="s")
+    """The path speed rises from 0 to 1 over this time when the task is resumed."""
+    floor: float = param(0.08, low=-1.0, high=1.0, unit="m")
+    """While the task is abandoned, the end effector is kept above this height in the null space of the contact."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Latch:
+    """The contact that ABORT holds to: the point p on a link, and posture and poses at its beginning."""
+
+    link: int
+    p_link: Array
+    q_cd: Array
+    T_cd: Array
+
+    @property
+    def x_cd(self) -> Array:
+        return apply(self.T_cd[self.link], self.p_link)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Velocity:
+    """A joint velocity in its two parts [rad/s] (7,): what is wanted first, and what is done in its null space."""
+
+    task: Array
+    null: Array
+
+
+class Reaction:
+    """Turns state, residual and contact into the joint velocity command, every control period."""
+
+    def __init__(self, config: ReactionConfig, path: PathFollower, q_d: Array, bounds: tuple[Array, Array, Array],
+                 dt: float) -> None:
+        """q_d: desired posture [rad] (7,). bounds: q_min, q_max [rad], dq_max [rad/s]. dt: control period T_c [s]."""
+        self.config = config
+        self.path = path
+        self.mode = Mode.IDLE
+        self.dq = ZERO7
+        self._q_d, self._bounds, self._dt = q_d, bounds, dt
+        self._latch: _Latch | None = None
+        self._blend, self._dq_switch = config.n_s, ZERO7
+        self._ramp, self._kept = 0.0, 1.0
+        self._quiet = 0.0
+        self._unseen = self._felt = 0.0
+        self._reason = ""
+
+    def stop(self, reason: str) -> None:
+        """Come to a stand within the acceleration limit and stay, until resume()."""
+        if self.mode is not Mode.STOP:
+            self._reason = reason
+            self._enter(Mode.STOP)
+
+    def resume(self) -> None:
+        """End a stop; the path starts again from zero speed."""
+        if self.mode is Mode.STOP:
+            self._enter(Mode.IDLE)
+
+    def update(self, q: Array, terms: Terms, residual: Array, detected: bool, contact: Contact | None) -> Command:
+        """The command for the next control period.
+
+        q [rad] (7,); residual r [N m] (7,); detected: Eq. (4); contact: the localized contact, None if there is none.
+        """
+        F = contact.F_world if contact is not None else ZERO3
+        self._decide(q, terms, detected, contact, float(np.sqrt(F @ F)))
+        x_d, error, path_speed = self.path.x_d, ZERO3, 0.0
+        if self.mode is Mode.STOP:
+            wanted = _Velocity(ZERO7, ZERO7)
+        elif self.mode is Mode.UNSEEN:
+            wanted = _Velocity(ZERO7, self.config.k_reflex * residual)
+        elif self.mode is Mode.ABORT and self._latch is not None:
+            wanted, error = self._abandon(q, terms, F, self._latch)
+        else:
+            wanted, path_speed = self._follow(q, terms, contact)
+        self._issue(q, self._blended(wanted))
+        return Command(self.mode, self.dq, terms.x, x_d, error, path_speed,
+                       self._reason if self.mode is Mode.STOP else "")
+
+    # -- transitions ------------------------------------------------------------------------------------------------
+
+    def _decide(self, q: Array, terms: Terms, detected: bool, contact: Contact | None, f: float) -> None:
+        """The next mode, from the force's norm f [N]."""
+        c, dt = self.config, self._dt
+        self._quiet = self._quiet + dt if f <= c.f_release else 0.0
+        unseen = detected and contact is None
+        self._unseen = self._unseen + dt if unseen else 0.0
+        self._felt = 0.0 if unseen else self._felt + dt
+        if self.mode is Mode.STOP:
+            return
+        if c.law == "printed":
+            self._decide_as_printed(q, terms, contact, f)
+        elif self.mode is Mode.ABORT and self._latch is not None:
+            self._follow_the_contact(terms, contact, self._latch)
+            e = apply(terms.T_world_link[self._latch.link], self._latch.p_link) - self._latch.x_cd
+            if self._quiet >= c.abort_clear and float(np.sqrt(e @ e)) < c.abort_error:
+                self._enter(Mode.IDLE)
+        elif contact is not None and f > c.f_abort:
+            self._abort(q, terms, contact)
+        elif self.mode is Mode.UNSEEN:
+            if self._felt >= c.unseen_hold or contact is not None:
+                self._enter(Mode.IDLE)
+        elif self._unseen > c.unseen_after:
+            self._enter(Mode.UNSEEN)
+        elif f > c.f_relax:
+            self.mode = Mode.RELAX  # no blend: it would blend the task, too
+        elif self.mode is Mode.RELAX and self._quiet >= c.relax_hold:
+            self.mode = Mode.IDLE
+
+    def _decide_as_printed(self, q: Array, terms: Terms, contact: Contact | None, f: float) -> None:
+        """Eq. (13) without memory: the force now is the mode now."""
+        if contact is not None and f > self.config.f_abort:
+            if self.mode is not Mode.ABORT:
+                self._abort(q, terms, contact)
+        else:
+            self.mode = Mode.RELAX if f > self.config.f_relax else Mode.IDLE
+
+    def _abort(self, q: Array, terms: Terms, contact: Contact) -> None:
+        self._latch = _Latch(contact.link, contact.p_link, q.copy(), terms.T_world_link.copy())
+        self._enter(Mode.ABORT)
+
+    def _follow_the_contact(self, terms: Terms, contact: Contact | None, latch: _Latch) -> None:
+        """When the contact has moved to another link, hold to the new point, where it was at the beginning."""
+        if contact is not None and contact.link != latch.link:
+            self._latch = _Latch(contact.link, contact.p_link, latch.q_cd, latch.T_cd)
+            self._begin_blend()
+
+    def _enter(self, mode: Mode) -> None:
+        self.mode = mode
+        self._ramp = 0.0
+        self._quiet = self._unseen = self._felt = 0.0
+        self._begin_blend()
+
+    def _begin_blend(self) -> None:
+        self._blend, self._dq_switch = 0, self.dq
+
+    # -- velocities -------------------------------------------------------------------------------------------------
+
+    def _follow(self, q: Array, terms: Terms, contact: Contact | None) -> tuple[_Velocity, float]:
+        """IDLE and RELAX: the task, with posture and yielding in its null space; and the path speed used, 0..1."""
+        c = self.config
+        # The feedback belongs to the reference now; advancing first would lead the arm by one period.
+        e = self.path.x_d - terms.x
+        self._ramp = min(1.0, self._ramp + self._dt / c.resume_time)
+        near = float(np.clip(1.5 - np.sqrt(e @ e) / 0.02, 0.0, 1.0))
+        path_speed = self._ramp * near * max(0.05, self._kept)
+        J = laws.inverse(terms.J)
+        task = laws.task_velocity(J.pinv, self.path.advance(path_speed, self._dt), e, c.k_p, c.v_reconnect)  # (11)
+        null = J.projector @ laws.posture_velocity(q, self._q_d, c.k_0)  # (12), first branch
+        if self.mode is Mode.RELAX and contact is not None:  # (12), second branch
+            null = self._yielding(terms, J.projector, contact, null)
+        null = laws.with_forgetting(null, J.projector, self.dq, c.lam, unit_gain=c.law == "latched")  # (15)
+        if self.mode is Mode.RELAX and contact is not None and c.relax_form == "yielding":
+            null = laws.not_into_the_push(task, null, contact.J_c, J.projector, contact.F_world)
+        return _Velocity(task, null), path_speed
+
+    def _yielding(self, terms: Terms, P: Array, contact: Contact, null: Array) -> Array:
+        c = self.config
+        if c.relax_form == "printed":
+            return null + P @ laws.relax_velocity_printed(contact.J_c, contact.F_world, c.k_f)
+        # Yielding down to a force that Eq. (4) no longer detects would end the relaxation while the push goes on.
+        threshold = max(c.f_relax, GATE_MARGIN * contact.F_gate)
+        null = null + laws.relax_velocity(contact.J_c, P, contact.F_world, c.k_f, threshold)
+        # The result is held, not the force term: spring and push together, so the excursion is not bounded by the cap.
+        v_c = contact.J_c @ null
+        speed = float(np.sqrt(v_c @ v_c))
+        return null * (c.v_contact / speed) if speed > c.v_contact else null
+
+    def _abandon(self, q: Array, terms: Terms, F: Array, latch: _Latch) -> tuple[_Velocity, Array]:
+        """ABORT: admittance at the contact point, Eq. (6)-(7); and the admittance error x_cd - x_c [m] (3,)."""
+        c = self.config
+        x_c = apply(terms.T_world_link[latch.link], latch.p_link)
+        J_c = laws.inverse(terms.J_contact(latch.link, x_c), laws.EPSILON_C)
+        error = latch.x_cd - x_c
+        task = J_c.pinv @ laws.admittance_velocity(F, error, c.k_a, c.k_e, c.v_contact)  # (6)
+        null = J_c.projector @ (laws.posture_velocity(q, latch.q_cd, c.k_n) + self._floor_guard(terms))  # (7)
+        if c.law == "printed":
+            null = laws.with_forgetting(null, laws.inverse(terms.J).projector, self.dq, c.lam, unit_gain=False)
+        else:
+            null = laws.with_forgetting(null, J_c.projector, self.dq, c.lam, unit_gain=True)  # (15) with P_c
+        return _Velocity(task, null), error
+
+    def _floor_guard(self, terms: Terms) -> Array:
+        """Raises the end effector when it sinks below the floor height: nothing in Eq. (7) holds it up."""
+        depth = self.config.floor - float(terms.x[2])
+        if depth <= 0.0:
+            return ZERO7
+        J_z = terms.J[2]
+        return J_z * (self.config.k_p * depth / float(J_z @ J_z + 1e-3))
+
+    def _blended(self, wanted: _Velocity) -> _Velocity:
+        """Eq. (14), at the beginning and at the end of an abandoned task."""
+        if self._blend >= self.config.n_s or self.mode is Mode.STOP:
+            return wanted
+        self._blend += 1
+        a = laws.blend(self._blend, self.config.n_s)
+        return _Velocity(a * wanted.task, a * wanted.null + (1.0 - a) * self._dq_switch)
+
+    def _issue(self, q: Array, wanted: _Velocity) -> None:
+        """Apply the limits; what is issued is what Eq. (15) remembers."""
+        q_min, q_max, dq_max = self._bounds
+        bounds = velocity_bounds(q, q_min, q_max, dq_max)
+        result = limited(wanted.task, wanted.null, bounds, self.dq, self.config.ddq_max * self._dt)
+        self._kept = result.task
+        self.dq = result.dq

@@ -1,0 +1,199 @@
+"""Everything that may disturb a run. The browser, a scenario file and a recording send the same events.
+
+An interactive session is config + seed + events, so every event can be written to JSON and read back unchanged.
+Values are checked on construction: EventError says what would have been right.
+"""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from hrc.errors import EventError, unknown
+
+Vector = tuple[float, float, float]
+REACH = 5.0
+"""No position in an event lies farther than this from the robot's base [m]."""
+
+
+def _vector(name: str, value: Any, limit: float = REACH, length: int = 3) -> tuple[float, ...]:
+    try:
+        vector = tuple(float(x) for x in value)
+    except (TypeError, ValueError):
+        raise EventError(f"{name} must be {length} numbers, not {value!r}") from None
+    if len(vector) != length or not all(math.isfinite(x) and abs(x) <= limit for x in vector):
+        raise EventError(f"{name} must be {length} finite numbers up to {limit:g}, not {value!r}")
+    return vector
+
+
+def _scalar(name: str, value: Any, low: float, high: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+        raise EventError(f"{name} must be a number from {low:g} to {high:g}, not {value!r}")
+    return float(value)
+
+
+def _link(value: Any) -> int:
+    if isinstance(value, bool) or value not in range(1, 8):
+        raise EventError(f"unknown link {value!r}; links: 1 to 7")
+    return int(value)
+
+
+class Event:
+    """Parent of all events."""
+
+    def _set(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
+
+
+@dataclass(frozen=True)
+class Pull(Event):
+    """Hold a point of a link by a capped spring, as with the mouse; a later Pull moves the spring's other end.
+
+    point: the grabbed point in the link's frame [m]. target: where the spring pulls it, in the world [m].
+    """
+
+    link: int
+    point: Vector
+    target: Vector
+
+    def __post_init__(self) -> None:
+        self._set("link", _link(self.link))
+        self._set("point", _vector("point", self.point, 0.5))
+        self._set("target", _vector("target", self.target))
+
+
+@dataclass(frozen=True)
+class Push(Event):
+    """Press on a point of a link with a force fixed in the world [N], until Release.
+
+    point: in the link's frame [m]. force: on the robot, in the world [N].
+    """
+
+    link: int
+    point: Vector
+    force: Vector
+
+    def __post_init__(self) -> None:
+        self._set("link", _link(self.link))
+        self._set("point", _vector("point", self.point, 0.5))
+        self._set("force", _vector("force", self.force, 150.0))
+
+
+@dataclass(frozen=True)
+class Release(Event):
+    """Let go of whatever Pull or Push holds."""
+
+
+@dataclass(frozen=True)
+class MoveObstacle(Event):
+    """Bring an obstacle into the scene, or move it: its force-limited drive goes for this pose.
+
+    position [m], in the world. wxyz: orientation, None keeps the present one.
+    """
+
+    name: str
+    position: Vector
+    wxyz: tuple[float, float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        self._set("position", _vector("position", self.position))
+        if self.wxyz is not None:
+            wxyz = _vector("wxyz", self.wxyz, 2.0, 4)
+            if not 0.5 < math.hypot(*wxyz) < 2.0:
+                raise EventError(f"wxyz must be a unit quaternion, not {self.wxyz!r}")
+            self._set("wxyz", wxyz)
+
+
+@dataclass(frozen=True)
+class RemoveObstacle(Event):
+    """Take an obstacle out of the scene."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class Press(Event):
+    """Choreography: an obstacle approaches a point of a moving link, presses into it, holds, and withdraws.
+
+    point: on the link's axis, in its frame [m]. direction: of the pressing, in the world. approach [s]: spent following
+    the point until first touch. speed, withdraw_speed [m/s]; depth: of the drive's target past first touch [m];
+    hold [s]; stiffness [N/m] and cap [N] of the drive. aside: where it comes from and leaves to, relative to first touch
+    [m], in the world; None is straight back.
+    """
+
+    name: str
+    link: int
+    point: Vector
+    direction: Vector
+    speed: float
+    depth: float
+    hold: float
+    stiffness: float
+    cap: float = 150.0
+    withdraw_speed: float = 0.4
+    approach: float = 0.6
+    aside: Vector | None = None
+
+    def __post_init__(self) -> None:
+        self._set("link", _link(self.link))
+        self._set("point", _vector("point", self.point, 0.5))
+        direction = _vector("direction", self.direction, 10.0)
+        if math.hypot(*direction) < 1e-6:
+            raise EventError("direction must not be zero")
+        self._set("direction", tuple(x / math.hypot(*direction) for x in direction))
+        if self.aside is not None:
+            self._set("aside", _vector("aside", self.aside))
+        for name, low, high in (("speed", 0.001, 1.0), ("depth", 0.0, 1.0), ("hold", 0.0, 600.0),
+                                ("stiffness", 1.0, 5000.0), ("cap", 1.0, 500.0), ("withdraw_speed", 0.01, 1.0),
+                                ("approach", 0.1, 10.0)):
+            self._set(name, _scalar(name, getattr(self, name), low, high))
+
+
+@dataclass(frozen=True)
+class SetParameter(Event):
+    """Change one live parameter, `group.name`, while the cell runs."""
+
+    key: str
+    value: Any
+
+
+@dataclass(frozen=True)
+class Stop(Event):
+    """Stand still and stay so until Resume. Not a safety function."""
+
+    reason: str = "stopped by the user"
+
+
+@dataclass(frozen=True)
+class Resume(Event):
+    """End a Stop; the arm rejoins its path smoothly."""
+
+
+@dataclass(frozen=True)
+class Reset(Event):
+    """Put the whole cell back to its start: same config, same seed."""
+
+
+TYPES: dict[str, type[Event]] = {cls.__name__: cls for cls in Event.__subclasses__()}
+
+
+def to_dict(event: Event) -> dict[str, Any]:
+    """A JSON-ready dict with the event's type."""
+    return {"type": type(event).__name__, **dataclasses.asdict(event)}  # pyright: ignore[reportArgumentType]
+
+
+def from_dict(values: dict[str, Any]) -> Event:
+    """The event again. Raises EventError for an unknown type, a missing or unknown field, or a bad value."""
+    values = dict(values)
+    name = values.pop("type", None)
+    cls = TYPES.get(str(name))
+    if cls is None:
+        raise EventError(unknown("event type", name, TYPES))
+    fields = {f.name: f for f in dataclasses.fields(cls)}  # pyright: ignore[reportArgumentType]
+    for key in values:
+        if key not in fields:
+            raise EventError(unknown(f"field of {name}", key, fields))
+    missing = [k for k, f in fields.items() if f.default is dataclasses.MISSING and k not in values]
+    if missing:
+        raise EventError(f"{name} lacks {', '.join(missing)}")
+    return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})

@@ -1,0 +1,193 @@
+"""What flows between the parts: frozen, validated once, arrays read-only.
+
+Ticks count the base rate (1 kHz simulated). Links are numbered 0 (base) to 7.
+"""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hrc.errors import SensorError
+
+Array = NDArray[np.float64]
+LINKS = ("base", "link_1", "link_2", "link_3", "link_4", "link_5", "link_6", "link_7")
+
+
+class Mode(StrEnum):
+    """What the arm is doing. The paper's three states, the reflex for a contact without a point, and STOP."""
+
+    IDLE = "idle"
+    RELAX = "relax"
+    ABORT = "abort"
+    UNSEEN = "contact not seen"
+    STOP = "stop"
+
+
+def frozen(values: ArrayLike, shape: tuple[int, ...], name: str = "array") -> Array:
+    """A read-only float64 copy. Raises SensorError for a wrong shape or a value that is not finite."""
+    array = np.array(values, dtype=np.float64)
+    if array.shape != shape:
+        raise SensorError(f"{name} must have shape {shape}, not {array.shape}")
+    # A sum is NaN or inf when any entry is, at a third of the cost of isfinite().all() on seven numbers.
+    if not np.isfinite(array.sum()):
+        raise SensorError(f"{name} holds a value that is not finite: {array.tolist()}")
+    array.flags.writeable = False
+    return array
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class RobotState:
+    """What the robot measures.
+
+    q: joint positions [rad], shape (7,). dq: joint velocities [rad/s], shape (7,).
+    tau: link-side joint torques [N m], shape (7,), the mean over the last tick.
+    """
+
+    tick: int
+    q: Array
+    dq: Array
+    tau: Array
+
+    def __post_init__(self) -> None:
+        for name in ("q", "dq", "tau"):
+            object.__setattr__(self, name, frozen(getattr(self, name), (7,), name))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DepthFrame:
+    """A depth image [m], shape (H, W), float32, +inf where nothing was measured; `tick` is when it was exposed."""
+
+    tick: int
+    depth: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        if self.depth.ndim != 2 or self.depth.dtype != np.float32:
+            raise SensorError(f"depth must be a float32 image, not {self.depth.dtype} {self.depth.shape}")
+        if np.isnan(self.depth.min()):  # numpy's min hands a NaN on
+            raise SensorError("the depth image holds NaN; an invalid pixel is +inf")
+        self.depth.flags.writeable = False
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class RobotImage:
+    """The robot as the camera should see it: depth [m] (H, W) float32, +inf off the robot; link (H, W) uint8, 255 off it."""
+
+    depth: NDArray[np.float32]
+    link: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Nearest:
+    """The point of the visible robot surface nearest to an obstacle: what vision sees, contact or not.
+
+    stamp: tick of the depth frame used. p_world: that surface point [m], shape (3,).
+    distance: to the obstacle [m]. pixel: (u, v) of the point.
+    """
+
+    tick: int
+    stamp: int
+    link: int
+    p_world: Array
+    distance: float
+    pixel: tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Contact:
+    """A contact: a detection by the residual, Eq. (4), with what is known of its place and force.
+
+    link, p_world [m] (3,), p_link [m] (3,) (the same point fixed to the link), J_c (3, 7), Eq. (10);
+    F_world: estimated force on the robot [N], shape (3,), Eq. (5).
+    sigma_min: smallest singular value of J_c [m]; unobservable: unit direction of the force (3,) that goes with it.
+    F_gate: length of a force [N] in this direction below which Eq. (4) would no longer detect it.
+    """
+
+    link: int
+    p_world: Array
+    p_link: Array
+    J_c: Array
+    F_world: Array
+    sigma_min: float
+    unobservable: Array
+    F_gate: float = 0.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Command:
+    """The joint velocity command [rad/s], shape (7,), and what it came from.
+
+    x, x_d: end effector and its reference [m] (3,). admittance_error: x_cd - x_c [m] (3,), zero outside ABORT.
+    path_speed: 0 (path frozen) to 1. reason: why the arm stands, when mode is STOP.
+    """
+
+    mode: Mode
+    dq: Array
+    x: Array
+    x_d: Array
+    admittance_error: Array
+    path_speed: float = 0.0
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Truth:
+    """The plant's own knowledge, for the recorder, the metrics and the screen; the estimator and controller never see it.
+
+    F_world: net contact force on the robot [N] (3,). link: the link with the largest force, -1 without contact.
+    p_world: where that force acts [m] (3,), NaN without contact. tau_ext: joint torque of all contacts [N m] (7,).
+    visible: whether a noise-free camera would see that point, to within 2 cm in depth.
+    """
+
+    F_world: Array
+    p_world: Array
+    link: int
+    tau_ext: Array
+    visible: bool = False
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Body:
+    """An obstacle in the scene: shape "sphere" (size = (r,)) or "box" (half lengths) [m], pose T_world_body (4, 4)."""
+
+    name: str
+    shape: str
+    size: tuple[float, ...]
+    T_world_body: Array
+    present: bool = True
+    virtual: bool = False
+    """Drawn in the depth scene but without contact: the hand that holds a mouse pull."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Snapshot:
+    """The latest of everything after one step. Recorder, browser and tests see nothing else.
+
+    time: tick over the base rate [s]. fresh_control, fresh_frame: whether this very tick brought a new one.
+    foreground: the depth frame without robot and environment. robot_image: the robot in that frame.
+    T_world_link [m]: poses of base and links (8, 4, 4) as measured. residual: r of Eq. (2) [N m] (7,).
+    detected: Eq. (4) with hysteresis. events: those applied before this tick; refused: (event, reason).
+    """
+
+    tick: int
+    time: float
+    state: RobotState
+    command: Command
+    T_world_link: Array
+    residual: Array
+    detected: bool
+    contact: Contact | None
+    nearest: Nearest | None
+    frame: DepthFrame | None
+    foreground: DepthFrame | None
+    robot_image: RobotImage | None
+    truth: Truth
+    bodies: tuple[Body, ...]
+    events: tuple[Any, ...] = ()
+    refused: tuple[tuple[Any, str], ...] = ()
+    fresh_control: bool = False
+    fresh_frame: bool = False
+    pull: "tuple[Array, Array] | None" = field(default=None)
+    """The grabbed point and the point it is pulled to [m], in the world, while somebody pulls."""

@@ -1,0 +1,126 @@
+"""The simulated depth camera: what a Kinect behind the robot would deliver, rendered without any graphics library."""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hrc import meshes
+from hrc.errors import SensorError, unknown
+from hrc.geometry import Array, apply, rotation_about, transform
+from hrc.messages import LINKS, Body, DepthFrame
+from hrc.parameters import Parameters, param
+from hrc.scene import BodySpec
+from hrc.vision import kernels
+from hrc.vision.camera import Camera
+from hrc.vision.render import FixedBox, environment_depth
+
+SEEN = 0.02
+"""A point counts as seen when it lies within this of the rendered surface, in depth [m]."""
+
+
+@dataclass(frozen=True)
+class SensorConfig(Parameters):
+    """How far the depth camera is from perfect; the defaults are those of a Kinect V2."""
+
+    noise: float = param(1.0, low=0.0, high=10.0)
+    """Axial noise as a multiple of the sensor's: 1.9 mm at 2.2 m, more at grazing incidence."""
+    flying: float = param(0.3, low=0.0, high=1.0)
+    """Share of pixels at a depth edge that mix front and back."""
+    dropout: float = param(0.4, low=0.0, high=1.0)
+    """Share of pixels at a depth edge that measure nothing."""
+    quantum: float = param(0.001, low=1e-6, high=0.1, unit="m")
+    """Step of the measured depth."""
+    nearest: float = param(0.5, low=0.05, high=10.0, unit="m")
+    """Nothing nearer is measured."""
+    farthest: float = param(4.5, low=0.1, high=100.0, unit="m")
+    """Nothing farther is measured."""
+    extrinsic_rotation_deg: float = param(0.25, low=0.0, high=10.0, unit="deg", live=False)
+    """Error of the camera's calibrated orientation, about an axis drawn from the seed."""
+    extrinsic_translation: float = param(0.005, low=0.0, high=0.1, unit="m", live=False)
+    """Error of the camera's calibrated position, in a direction drawn from the seed."""
+
+
+class DepthCamera:
+    """Renders robot, obstacles and environment from its true pose, spoils the image, and delivers it late.
+
+    camera: as calibrated; the true one, `true_camera`, is off by the config's extrinsic error. bodies: all obstacles
+    that may ever be drawn. latency: frames between exposure and delivery. Raises DeviceError for an unknown device.
+    """
+
+    def __init__(self, camera: Camera, environment: Sequence[FixedBox], bodies: Sequence[BodySpec],
+                 config: SensorConfig | None = None, seed: int = 0, latency: int = 2, device: str = "cpu") -> None:
+        self._seed, self._latency = seed, latency
+        self._device = kernels.check_device(device)
+        self._slot = {body.name: len(LINKS) + i for i, body in enumerate(bodies)}
+        self.true_camera = _disturbed(camera, config or SensorConfig(), seed)
+        grid = kernels.grid(camera)
+        fixed = environment_depth(self.true_camera, environment)
+        background = kernels.pack(fixed, np.full(camera.shape, 15), grid)
+        surfaces = [*meshes.robot("plant"), *(_mesh(body) for body in bodies)]
+        self._raster = kernels.Rasteriser(grid, surfaces, self._device, background=background)
+        self._noise = kernels.Noise(grid, self._raster.keys, self._device)
+        self.configure(config or SensorConfig())
+        self.reset()
+
+    def configure(self, config: SensorConfig) -> None:
+        """Take changed noise parameters from the next frame on; the true pose stays as it was built."""
+        self.config, n = config, self._noise
+        n.scale, n.flying, n.dropout = config.noise, config.flying, config.dropout
+        n.quantum, n.nearest, n.farthest = config.quantum, config.nearest, config.farthest
+        self._graph = kernels.Graph([self._raster.launch, n.launch], self._device)
+
+    def reset(self) -> None:
+        """Forget all frames; the next one is the first again, with the same noise."""
+        self._count = 0
+        self._queue: deque[DepthFrame] = deque(maxlen=self._latency + 2)
+
+    def expose(self, tick: int, T_world_link: Array, bodies: Sequence[Body]) -> None:
+        """Take a frame with the links at these true poses (8, 4, 4) and the bodies where they are.
+
+        Raises SensorError for a body that was not given at construction.
+        """
+        T_world_mesh = np.zeros((len(LINKS) + len(self._slot), 4, 4))  # zeros: not drawn
+        T_world_mesh[: len(LINKS)] = T_world_link
+        for body in bodies:
+            if body.name not in self._slot:
+                raise SensorError(unknown("body", body.name, self._slot))
+            if body.present:
+                T_world_mesh[self._slot[body.name]] = body.T_world_body
+        self._raster.place(self.true_camera.T_camera_world @ T_world_mesh)
+        self._noise.draw(self._seed, self._count)
+        self._graph.replay()
+        self._queue.append(DepthFrame(tick, self._noise.image()))
+        self._count += 1
+
+    def latest(self, tick: int) -> DepthFrame | None:
+        """The newest frame, of those exposed up to `tick`, that is followed by `latency` others; None before there is one."""
+        exposed = [frame for frame in self._queue if frame.tick <= tick]
+        return exposed[-1 - self._latency] if len(exposed) > self._latency else None
+
+    def perfect(self) -> Array:
+        """The last frame without any noise: depth [m] (H, W), +inf where there is nothing."""
+        return kernels.unpack(kernels.read(self._raster.keys), self._raster.grid)[0]
+
+    def sees(self, p_world: ArrayLike) -> bool:
+        """Whether the surface in the last noise-free render, at that point's pixel, is within 2 cm of it in depth."""
+        u, v, z = self.true_camera.project(apply(self.true_camera.T_camera_world, p_world))
+        rows, columns = self.true_camera.shape
+        if self._count == 0 or not (z > 0 and -0.5 <= u < columns - 0.5 and -0.5 <= v < rows - 0.5):
+            return False
+        key = kernels.to_image(kernels.read(self._raster.keys), self._raster.grid)[round(float(v)), round(float(u))]
+        return bool(key) and abs(kernels.key_depth(key) - float(z)) <= SEEN
+
+
+def _mesh(body: BodySpec) -> kernels.Surface:
+    return meshes.sphere(body.size[0], 3) if body.shape == "sphere" else meshes.box(body.size)
+
+
+def _disturbed(camera: Camera, config: SensorConfig, seed: int) -> Camera:
+    """The camera where it really stands."""
+    axis, direction = np.random.default_rng([seed, 0xE7E]).normal(size=(2, 3))
+    turn = rotation_about(axis, np.radians(config.extrinsic_rotation_deg))
+    shift = config.extrinsic_translation * direction / np.linalg.norm(direction)
+    return camera.moved(camera.T_world_camera @ transform(turn, shift))

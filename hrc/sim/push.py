@@ -1,0 +1,109 @@
+"""A hand at a point of the robot: the mouse's spring, or a given force, and the hand that the camera sees."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from hrc import meshes
+from hrc.events import Event, Pull, Push, Release
+from hrc.geometry import transform
+from hrc.messages import Body
+from hrc.parameters import Parameters, param
+from hrc.scene import BodySpec
+
+Array = NDArray[np.float64]
+HAND_RADIUS = 0.045
+"""Radius of the hand drawn in the depth scene [m]."""
+HAND_LIFT = 0.03
+"""Its centre stands this far out of the surface [m]."""
+HAND = BodySpec("grip", "sphere", (HAND_RADIUS,), rgb=(0.93, 0.72, 0.60))
+
+
+@dataclass(frozen=True)
+class PushConfig(Parameters):
+    """The spring of a mouse pull."""
+
+    stiffness: float = param(250.0, low=20.0, high=1000.0, unit="N/m")
+    """Stiffness of the spring between the grabbed point and the mouse."""
+    damping: float = param(30.0, low=0.0, high=200.0, unit="N s/m")
+    """Damping of that spring."""
+    cap: float = param(80.0, low=1.0, high=150.0, unit="N")
+    """A pull is never stronger than this."""
+
+
+class Grip:
+    """What holds the robot: nothing, a Pull's spring, or a Push's force."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, links: NDArray[np.int64], config: PushConfig) -> None:
+        self.config = config
+        self._model, self._data, self._links = model, data, links
+        self._event: Pull | Push | None = None
+        self._normal = np.array([0.0, 0.0, 1.0])
+        self.force = np.zeros(3)
+
+    @property
+    def active(self) -> bool:
+        """Whether something holds the robot."""
+        return self._event is not None
+
+    @property
+    def link(self) -> int:
+        """The link that is held, -1 for none."""
+        return self._event.link if self._event is not None else -1
+
+    @property
+    def p_world(self) -> Array:
+        """The held point [m] (3,), in the world; NaN without one."""
+        if self._event is None:
+            return np.full(3, np.nan)
+        body = self._links[self._event.link]
+        return self._data.xpos[body] + self._data.xmat[body].reshape(3, 3) @ np.asarray(self._event.point)
+
+    @property
+    def pull(self) -> tuple[Array, Array] | None:
+        """The held point and where it is pulled to [m], while it is a Pull."""
+        return (self.p_world, np.asarray(self._event.target)) if isinstance(self._event, Pull) else None
+
+    def apply(self, event: Event) -> None:
+        """Take a Pull, Push or Release."""
+        if isinstance(event, Release):
+            self._event = None
+        elif isinstance(event, (Pull, Push)):
+            held = self._event
+            if held is None or (held.link, held.point) != (event.link, event.point):
+                self._normal = outward(event.link, np.asarray(event.point))
+            self._event = event
+
+    def torque(self) -> Array:
+        """Joint torque of the force in the coming tick [N m] (7,); `force` [N] (3,) is that force, on the robot."""
+        event = self._event
+        if event is None:
+            self.force = np.zeros(3)
+            return np.zeros(7)
+        body, p = int(self._links[event.link]), self.p_world
+        J = np.zeros((3, self._model.nv))
+        mujoco.mj_jac(self._model, self._data, J, None, p, body)
+        if isinstance(event, Push):
+            self.force = np.asarray(event.force)
+        else:
+            velocity = J @ self._data.qvel
+            pull = self.config.stiffness * (np.asarray(event.target) - p) - self.config.damping * velocity
+            self.force = pull * min(1.0, self.config.cap / max(float(np.linalg.norm(pull)), 1e-9))
+        return J[:, :7].T @ self.force
+
+    def hand(self) -> Body:
+        """The hand in the depth scene: it stands on the surface and collides with nothing."""
+        T = np.eye(4)
+        if self._event is not None:
+            R = self._data.xmat[self._links[self._event.link]].reshape(3, 3)
+            T = transform(np.eye(3), self.p_world + HAND_LIFT * R @ self._normal)
+        return Body(HAND.name, HAND.shape, HAND.size, T, present=self.active, virtual=True)
+
+
+def outward(link: int, p_link: Array) -> Array:
+    """The unit normal of a link's surface nearest to a point [m] (3,), in the link's frame."""
+    mesh = meshes.robot("perception")[link]
+    nearest = int(np.argmin(((mesh.vertices - p_link) ** 2).sum(axis=1)))
+    return mesh.normals[nearest]

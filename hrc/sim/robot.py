@@ -1,0 +1,172 @@
+"""The simulated robot: MuJoCo's contact and motion, behind the interface of the real one.
+
+Commanded by joint velocities as over FRI, it answers with q, dq and link-side joint torques. Inside runs the servo:
+computed torque in plain motor actuators at the base rate. (MuJoCo's own position and velocity actuators under an implicit
+integrator report a torque that is not the one integrated, which reads as a contact of newton metres.)
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from hrc.events import Event, MoveObstacle, Press, Pull, Push, Release, RemoveObstacle
+from hrc.messages import LINKS, Body, RobotState, Truth
+from hrc.model import Dynamics, joint_limits, pinocchio_model
+from hrc.parameters import Parameters, param
+from hrc.scene import Scene
+from hrc.sim.obstacles import ObstacleConfig, Obstacles
+from hrc.sim.push import Grip, PushConfig
+from hrc.sim.sensor import TorqueSensor
+from hrc.sim.world import compile_world
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PlantConfig(Parameters):
+    """The simulated robot's imperfections and its servo."""
+
+    torque_noise: float = param(0.003, low=0.0, high=0.1, live=False)
+    """Standard deviation of the torque sensors' noise, as a fraction of each joint's torque limit."""
+    friction_left: float = param(0.2, low=0.0, high=2.0, live=False)
+    """Part of the friction and offset that link-side sensors of a real LWR show, left after compensation."""
+    servo_wn: float = param(60.0, low=5.0, high=200.0, unit="rad/s", live=False)
+    """Bandwidth of the joint servo (critically damped)."""
+    leash: float = param(0.03, low=0.005, high=0.2, unit="rad", live=False)
+    """The servo's reference never leads the joint by more than this, so a blocked arm does not whip when freed."""
+
+
+class SimulatedRobot:
+    """The plant: one step is one tick of the base rate."""
+
+    def __init__(self, scene: Scene, plant: PlantConfig, push: PushConfig, obstacles: ObstacleConfig, *, base_hz: int,
+                 control_hz: int, rng: np.random.Generator) -> None:
+        self.model = compile_world(scene, base_hz)
+        self._data = mujoco.MjData(self.model)
+        self._config = plant
+        self._dt = 1.0 / base_hz
+        self._ramp_ticks = base_hz // control_hz
+        self._dynamics = Dynamics(pinocchio_model(self.model, armature=True))
+        self.limits = joint_limits(self.model)
+        self._sensor = TorqueSensor(self.limits.tau_max, plant.torque_noise, plant.friction_left, rng)
+        self._links = np.array([self.model.body(name).id for name in LINKS])
+        self._link_of_geom = self._geom_links()
+        self.grip = Grip(self.model, self._data, self._links, push)
+        self.obstacles = Obstacles(self.model, self._data, scene.bodies, obstacles)
+        self._tick = 0
+        self._command = self._previous = self._target = np.zeros(7)
+        self._since = 0
+
+    def place(self, q: Array) -> None:
+        """Put the arm at rest at q [rad] (7,)."""
+        self._data.qpos[:7] = q
+        self._data.qvel[:7] = 0.0
+        mujoco.mj_forward(self.model, self._data)
+        self._target = np.array(q)
+
+    def apply(self, event: Event) -> None:
+        """Take an event that concerns the plant. Raises EventError for one that cannot be."""
+        if isinstance(event, (Pull, Push, Release)):
+            self.grip.apply(event)
+        elif isinstance(event, (MoveObstacle, RemoveObstacle, Press)):
+            self.obstacles.apply(event, self)
+
+    def step(self, dq: Array) -> RobotState:
+        """One tick under the velocity command dq [rad/s] (7,); returns what the sensors read after it."""
+        data = self._data
+        q, v = data.qpos[:7].copy(), data.qvel[:7].copy()
+        data.ctrl[:7] = self._servo(q, v, dq)
+        data.qfrc_applied[:7] = self.grip.torque()
+        self.obstacles.step(self, self._dt)
+        mujoco.mj_step(self.model, data)
+        self._tick += 1
+        q_now, v_now = data.qpos[:7], data.qvel[:7]
+        # On the link side of the gear: what the motor gives, less what it takes to turn itself.
+        tau = data.qfrc_actuator[:7] - self.model.dof_armature[:7] * (v_now - v) / self._dt
+        return RobotState(self._tick, q_now, v_now, self._sensor.read(tau, v_now))
+
+    def _servo(self, q: Array, v: Array, dq: Array) -> Array:
+        """Computed torque [N m] (7,) towards the command, ramped over one control period."""
+        if dq is not self._command:
+            self._previous, self._command, self._since = self._command, dq, 0
+        self._since += 1
+        share = min(1.0, self._since / self._ramp_ticks)
+        dq_ref = self._previous + share * (self._command - self._previous)
+        ramping = self._since <= self._ramp_ticks
+        ddq_ref = (self._command - self._previous) / (self._ramp_ticks * self._dt) if ramping else np.zeros(7)
+        self._target = np.clip(self._target + dq_ref * self._dt, q - self._config.leash, q + self._config.leash)
+        wn = self._config.servo_wn
+        ddq = ddq_ref + 2.0 * wn * (dq_ref - v) + wn * wn * (self._target - q)
+        tau = self._dynamics.inverse_dynamics(q, v, ddq)
+        return np.clip(tau, -self.limits.tau_max, self.limits.tau_max)
+
+    # -- what only the plant knows ----------------------------------------------------------------------------------
+
+    def T_world_link(self) -> Array:
+        """True poses of base and links (8, 4, 4)."""
+        mujoco.mj_kinematics(self.model, self._data)
+        T = np.zeros((len(LINKS), 4, 4))
+        T[:, :3, :3] = self._data.xmat[self._links].reshape(-1, 3, 3)
+        T[:, :3, 3] = self._data.xpos[self._links]
+        T[:, 3, 3] = 1.0
+        return T
+
+    def bodies(self) -> tuple[Body, ...]:
+        """The obstacles, and the hand of a push or pull."""
+        return (*self.obstacles.bodies(), self.grip.hand())
+
+    def truth(self) -> Truth:
+        """The true contact: net force, and place of the largest one."""
+        F, best, link, p = np.zeros(3), 0.0, -1, np.full(3, np.nan)
+        if self.grip.active:
+            F = self.grip.force.copy()
+            best, link, p = float(np.linalg.norm(F)), self.grip.link, self.grip.p_world
+        wrench = np.empty(6)
+        for i in range(self._data.ncon):
+            contact = self._data.contact[i]
+            link1, link2 = self._link_of_geom[contact.geom[0]], self._link_of_geom[contact.geom[1]]
+            if (link1 < 0) == (link2 < 0):
+                continue
+            mujoco.mj_contactForce(self.model, self._data, i, wrench)
+            # MuJoCo's normal points from the first geom to the second, and so does the force on the second.
+            f = contact.frame.reshape(3, 3).T @ wrench[:3] * (1.0 if link2 >= 0 else -1.0)
+            F += f
+            size = float(np.linalg.norm(f))
+            if size > best:
+                best, link, p = size, int(max(link1, link2)), contact.pos.copy()
+        tau = self._data.qfrc_applied[:7] + self._data.qfrc_constraint[:7]
+        return Truth(F, p, link if best > 0.0 else -1, tau)
+
+    def point(self, link: int, p_link: Array) -> Array:
+        """A point of a link [m] (3,), in the world."""
+        body = self._links[link]
+        return self._data.xpos[body] + self._data.xmat[body].reshape(3, 3) @ p_link
+
+    def reach(self, link: int, p_link: Array, direction: Array) -> float:
+        """Distance from a point inside a link to its surface along a direction of the world [m]."""
+        inside, far = self.point(link, p_link), 0.5
+        geoms = np.flatnonzero((self._link_of_geom == link) & (self.model.geom_contype == 1))
+        hits = [self._ray(g, inside + far * direction, -direction) for g in geoms]
+        return far - min((h for h in hits if h >= 0.0), default=far)
+
+    def surface_point(self, link: int, p_link: Array, direction: Array) -> Array:
+        """The point of a link's surface [m] (3,), in its frame, seen from p_link along a direction of the world."""
+        R = self._data.xmat[self._links[link]].reshape(3, 3)
+        return p_link + R.T @ direction * self.reach(link, p_link, direction)
+
+    def _ray(self, geom: int, origin: Array, direction: Array) -> float:
+        """Distance along a ray to one geom, -1 for none."""
+        kind = self.model.geom_type[geom]
+        pose = self._data.geom_xpos[geom], self._data.geom_xmat[geom]
+        if kind == mujoco.mjtGeom.mjGEOM_MESH:
+            return mujoco.mj_rayMesh(self.model, self._data, int(geom), origin, direction, None)
+        return mujoco.mju_rayGeom(*pose, self.model.geom_size[geom], origin, direction, int(kind), None)
+
+    def _geom_links(self) -> NDArray[np.int64]:
+        """The link of every geom, -1 for those of the scene."""
+        of_body = np.full(self.model.nbody, -1)
+        of_body[self._links] = np.arange(len(LINKS))
+        return of_body[self.model.geom_bodyid]
+

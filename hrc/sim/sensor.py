@@ -1,0 +1,31 @@
+"""The link-side joint torque sensor, with the imperfections measured on a real LWR IV+."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# tau_f = k + A / (1 + exp(-alpha (dq + v))): friction and offset that the sensors of an LWR IV+ show (Sapienza's
+# identification; FACTS in docs/robot.md).
+A = np.array([1.367179, 0.593299, 0.594340, 0.641189, 0.488523, 0.694147, 0.700856])  # [N m]
+K = np.array([-0.456166, -0.056350, -0.366618, -0.103054, -0.118344, -0.469191, -0.791974])  # [N m]
+V = np.array([-0.015673, 0.024814, -0.046247, -0.011594, 0.000368, 0.037110, 0.054060])  # [rad/s]
+ALPHA = np.array([195.792631, 52.849323, 16.397959, 390.429474, 34.761397, 25.702041, 24.441356])  # [s/rad]
+
+
+def friction(dq: Array) -> Array:
+    """Friction and offset in the sensor's signal at joint velocity dq [rad/s] (7,); [N m] (7,)."""
+    return K + A / (1.0 + np.exp(np.clip(-ALPHA * (dq + V), -50.0, 50.0)))
+
+
+class TorqueSensor:
+    """Adds noise and the uncompensated part of friction and offset to the true torque."""
+
+    def __init__(self, tau_max: Array, noise: float, friction_left: float, rng: np.random.Generator) -> None:
+        self._sigma = noise * tau_max
+        self._left = friction_left
+        self._rng = rng
+
+    def read(self, tau: Array, dq: Array) -> Array:
+        """The reading [N m] (7,) for the true link-side torque [N m] (7,) at joint velocity dq [rad/s] (7,)."""
+        return tau + self._left * friction(dq) + self._sigma * self._rng.standard_normal(7)

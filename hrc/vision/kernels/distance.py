@@ -1,0 +1,155 @@
+"""Distance of every robot pixel to the obstacles, in depth space (Sec. III-C), exact and pruned by tiles.
+
+Whatever depth an obstacle pixel o is taken to have, it lies on its ray k_o = ((u-c_x)/f, (v-c_y)/f, 1). So its distance
+to P = d_v k_p is at least that of P to the ray, |P x k_o| / |k_o| >= d_v |k_o - k_p| / |k_o|: a bound that holds for every
+occlusion rule, and gives the window S around the robot's pixel.
+"""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from hrc.vision.kernels import native
+from hrc.vision.kernels.filtering import Filter
+from hrc.vision.kernels.runtime import pixels_per_thread, read, zeros
+from hrc.vision.kernels.types import (
+    ID, MAX_CANDIDATES, MODULE, TILE, TILE_H, TILE_W, Floats, Grid, Ints, Keys, Ranks, depth_of, pixels, to_image,
+)
+
+NONE = wp.constant(wp.uint64(0x7F7FFFFFFFFFFFFF))
+"""Rank of no pixel: the largest finite distance."""
+SLACK = wp.constant(wp.float32(0.9999))
+"""Bounds give way by this, so that rounding never prunes the nearest pixel."""
+
+
+@wp.kernel(module=MODULE)
+def reset(n_active: Ints, nearest: Ranks):
+    n_active[0] = 0
+    nearest[0] = NONE
+
+
+@wp.func
+def gap(a: int, a_end: int, b: int, b_end: int) -> float:
+    """Pixels between the ranges [a, a_end) and [b, b_end), 0 where they touch or overlap."""
+    return float(wp.max(0, wp.max(b - a_end + 1, a - b_end + 1)))
+
+
+@wp.func
+def ray_square(tile: int, g: Grid) -> float:
+    """Largest |k|^2 over a tile."""
+    u = float((tile % g.tiles_x) * TILE_W) - g.cx
+    v = float((tile / g.tiles_x) * TILE_H) - g.cy
+    x = wp.max(wp.abs(u), wp.abs(u + float(TILE_W - 1))) / g.fx
+    y = wp.max(wp.abs(v), wp.abs(v + float(TILE_H - 1))) / g.fy
+    return 1.0 + x * x + y * y
+
+
+@wp.kernel(module=MODULE)
+def list_candidates(keys: Keys, links: wp.uint32, near: Floats, far: Floats, reach: float, thickness: float, g: Grid,
+                    lists: Ints, counts: Ints, active: Ints, n_active: Ints):
+    """For each tile with robot pixels: the obstacle tiles that may hold a point within reach."""
+    t = wp.tid()
+    tx = t % g.tiles_x
+    ty = t / g.tiles_x
+    depth = native.robot_range(keys, ty * TILE_H * g.stride + tx * TILE_W, links, g)
+    if depth[1] == 0.0:
+        return
+    n = int(0)
+    rx = int(reach * g.ray * g.fx / depth[0] / float(TILE_W)) + 1
+    ry = int(reach * g.ray * g.fy / depth[0] / float(TILE_H)) + 1
+    for y in range(wp.max(0, ty - ry), wp.min(g.tiles_y, ty + ry + 1)):
+        dy = gap(ty * TILE_H, ty * TILE_H + TILE_H, y * TILE_H, y * TILE_H + TILE_H) / g.fy
+        for x in range(wp.max(0, tx - rx), wp.min(g.tiles_x, tx + rx + 1)):
+            o = y * g.tiles_x + x
+            if near[o] < depth[1] + reach and far[o] + thickness > depth[0] - reach and far[o] > 0.0:
+                dx = gap(tx * TILE_W, tx * TILE_W + TILE_W, x * TILE_W, x * TILE_W + TILE_W) / g.fx
+                if SLACK * depth[0] * depth[0] * (dx * dx + dy * dy) < reach * reach * ray_square(o, g):
+                    if n < MAX_CANDIDATES:
+                        lists[t * MAX_CANDIDATES + n] = o
+                    n += 1
+    counts[t] = n
+    if n > 0:
+        active[wp.atomic_add(n_active, 0, 1)] = t
+
+
+@wp.kernel(module=MODULE)
+def measure(keys: Keys, links: wp.uint32, depth: Floats, near: Floats, far: Floats, reach: float, thickness: float,
+            g: Grid, lists: Ints, counts: Ints, active: Ints, n_active: Ints, grain: int, distances: Floats,
+            nearest: Ranks):
+    """Distance of the pixels of the active tiles, `grain` of them a thread, +inf off the robot and beyond reach."""
+    i = wp.tid() * grain
+    if i / TILE >= n_active[0]:
+        return
+    t = active[i / TILE]
+    n = counts[t]
+    if n > MAX_CANDIDATES:
+        n = g.tiles_x * g.tiles_y
+    for j in range(i % TILE, i % TILE + grain):
+        u = (t % g.tiles_x) * TILE_W + j % TILE_W
+        v = (t / g.tiles_x) * TILE_H + j / TILE_W
+        pixel = v * g.stride + u
+        key = keys[pixel]
+        least = float(reach * reach)
+        if key != wp.uint32(0) and ((links >> (key & ID)) & wp.uint32(1)) != wp.uint32(0):
+            z = depth_of(key)
+            x = (float(u) - g.cx) / g.fx * z
+            y = (float(v) - g.cy) / g.fy * z
+            for k in range(n):
+                o = k
+                if counts[t] <= MAX_CANDIDATES:
+                    o = lists[t * MAX_CANDIDATES + k]
+                ahead = wp.max(0.0, wp.max(near[o] - z, z - far[o] - thickness))
+                if SLACK * ahead * ahead < least:
+                    ou = (o % g.tiles_x) * TILE_W
+                    ov = (o / g.tiles_x) * TILE_H
+                    dx = gap(u, u + 1, ou, ou + TILE_W) / g.fx
+                    dy = gap(v, v + 1, ov, ov + TILE_H) / g.fy
+                    if SLACK * z * z * (dx * dx + dy * dy) < least * ray_square(o, g):
+                        least = wp.min(least, native.tile_distance(depth, ou, ov, x, y, z, thickness, g))
+        if least < reach * reach:
+            distances[pixel] = wp.sqrt(least)
+            # The rank orders by distance, then by pixel: equal distances always give the same pixel.
+            wp.atomic_min(nearest, 0, (wp.uint64(wp.cast(least, wp.uint32)) << wp.uint64(32)) | wp.uint64(pixel))
+        else:
+            distances[pixel] = wp.inf
+
+
+class Distance:
+    """The distance map between a robot raster and what a filter left.
+
+    keys: the robot's raster; links: bit set of the links that count; reach [m]: rho; thickness [m]: of obstacles.
+    distances: the map, flat, valid in the first n_active tiles of `active`; nearest: its least rank.
+    """
+
+    def __init__(self, g: Grid, keys: Any, foreground: Filter, device: str) -> None:
+        self.grid, self.device, self.keys, self._foreground = g, device, keys, foreground
+        self.links, self.reach, self.thickness = 0xFF, 0.1, 0.12
+        tiles = g.tiles_x * g.tiles_y
+        self._lists, self._counts, self.active = (zeros(n, wp.int32, device) for n in
+                                                  (tiles * MAX_CANDIDATES, tiles, tiles))
+        self.n_active = zeros(1, wp.int32, device)
+        self.nearest = zeros(1, wp.uint64, device)
+        self.distances = zeros(pixels(g), wp.float32, device)
+
+    def launch(self) -> None:
+        """Queue the search."""
+        g, f, links = self.grid, self._foreground, wp.uint32(self.links)
+        tiles, grain = g.tiles_x * g.tiles_y, pixels_per_thread(self.device)
+        wp.launch(reset, dim=1, inputs=[self.n_active, self.nearest], device=self.device)
+        wp.launch(list_candidates, dim=tiles, device=self.device, inputs=[
+            self.keys, links, f.nearest, f.farthest, self.reach, self.thickness, g, self._lists, self._counts,
+            self.active, self.n_active])
+        wp.launch(measure, dim=tiles * TILE // grain, device=self.device, inputs=[
+            self.keys, links, f.foreground, f.nearest, f.farthest, self.reach, self.thickness, g, self._lists,
+            self._counts, self.active, self.n_active, grain, self.distances, self.nearest])
+
+    def image(self) -> np.ndarray:
+        """A fresh copy of the distance map [m] (H, W), +inf off the robot and beyond reach."""
+        g, out = self.grid, np.full(pixels(self.grid), np.inf, np.float32)
+        values = read(self.distances)
+        tiles = read(self.active)[: read(self.n_active)[0]]
+        first = (tiles // g.tiles_x) * TILE_H * g.stride + (tiles % g.tiles_x) * TILE_W
+        index = first[:, None, None] + np.arange(TILE_H)[:, None] * g.stride + np.arange(TILE_W)
+        out[index] = values[index]
+        return to_image(out, g).copy()

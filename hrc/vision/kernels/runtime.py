@@ -1,0 +1,83 @@
+"""Devices, buffers and captured graphs: the little of Warp's runtime that the rest of the package sees."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from hrc.errors import DeviceError, unknown
+from hrc.vision.kernels.types import MODULE, TILE, Grid, to_image
+
+
+def check_device(name: str) -> str:
+    """The device's full name. Raises DeviceError, naming those there are, if it is not available."""
+    known = [d.alias for d in wp.get_devices()]
+    full = "cuda:0" if name == "cuda" else name
+    if full not in known:
+        raise DeviceError(unknown("device", name, known))
+    return full
+
+
+def warm(device: str = "cpu") -> None:
+    """Compile or load every kernel for `device`: seconds the very first time, milliseconds from the cache.
+
+    Raises DeviceError if there is no such device.
+    """
+    # The kernels' modules must be imported, or there is nothing to compile yet.
+    from hrc.vision.kernels import contact, distance, filtering, noise, raster  # noqa: F401
+
+    wp.load_module(MODULE, device=check_device(device))
+
+
+def zeros(n: int, dtype: Any, device: str) -> Any:
+    """A device buffer of `n` zeros."""
+    return wp.zeros(n, dtype=dtype, device=device)
+
+
+def upload(values: np.ndarray, dtype: Any, device: str) -> Any:
+    """A device buffer with these values."""
+    return wp.array(values, dtype=dtype, device=device)
+
+
+def write(buffer: Any, values: np.ndarray) -> None:
+    """Overwrite a device buffer in place: its address is part of the captured graphs."""
+    if buffer.device.is_cpu:
+        buffer.numpy()[...] = values
+    else:
+        buffer.assign(values)
+
+
+def write_image(buffer: Any, image: np.ndarray, g: Grid) -> None:
+    """Overwrite the image (H, W) in a flat padded buffer in place; the padding is 0 and stays so."""
+    if buffer.device.is_cpu:
+        to_image(buffer.numpy(), g)[...] = image
+    else:
+        flat = np.zeros(len(buffer), wp.dtype_to_numpy(buffer.dtype))
+        to_image(flat, g)[...] = image
+        buffer.assign(flat)
+
+
+def read(buffer: Any) -> np.ndarray:
+    """A device buffer in numpy: on the CPU a view of it, valid until it is written again."""
+    return buffer.numpy()
+
+
+def pixels_per_thread(device: str) -> int:
+    """How many pixels of a tile a thread takes: all of them on a CPU, where threads run one after another."""
+    return TILE if device == "cpu" else 1
+
+
+class Graph:
+    """A fixed sequence of launches, replayed as a whole at a few microseconds of overhead."""
+
+    def __init__(self, stages: Sequence[Callable[[], None]], device: str) -> None:
+        warm(device)
+        with wp.ScopedCapture(device=device) as capture:
+            for stage in stages:
+                stage()
+        self._graph = capture.graph
+
+    def replay(self) -> None:
+        """Run it. Returns when the launches are queued; reading a buffer waits for them."""
+        wp.capture_launch(self._graph)

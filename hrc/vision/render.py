@@ -1,0 +1,69 @@
+"""Virtual depth images: the robot's meshes, Eq. (8), and the boxes of the fixed environment."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from hrc.geometry import Array
+from hrc.messages import RobotImage
+from hrc.vision import kernels
+from hrc.vision.camera import Camera
+
+Vector = tuple[float, float, float]
+
+
+class FixedBox(Protocol):
+    """A box with sides along the world's axes: centre and half lengths [m]."""
+
+    @property
+    def centre(self) -> Vector: ...
+    @property
+    def half(self) -> Vector: ...
+
+
+def environment_depth(camera: Camera, boxes: Sequence[FixedBox], grow: float = 0.0) -> Array:
+    """Depth [m] (H, W) of the nearest box, each `grow` [m] larger on every side; +inf where there is none.
+
+    Rays meet boxes in closed form (the slab method), so a floor that runs beneath the camera needs no clipping. A box
+    around the camera itself is not seen.
+    """
+    rays = camera.rays() @ camera.T_world_camera[:3, :3].T
+    eye = camera.T_world_camera[:3, 3]
+    depth = np.full(camera.shape, np.inf)
+    for box in boxes:
+        half = np.asarray(box.half) + grow
+        with np.errstate(divide="ignore", invalid="ignore"):
+            faces = np.stack([(box.centre - half - eye) / rays, (box.centre + half - eye) / rays])
+        # A ray inside a slab's own face gives 0/0: it neither enters nor leaves through it.
+        enter = np.nanmax(np.fmin(faces[0], faces[1]), axis=-1)
+        leave = np.nanmin(np.fmax(faces[0], faces[1]), axis=-1)
+        depth = np.where((enter <= leave) & (enter > 0), np.minimum(depth, enter), depth)
+    return depth
+
+
+class Renderer:
+    """The robot as a camera should see it.
+
+    meshes: one for each link, in the link's frame. Raises DeviceError if there is no such device.
+    """
+
+    def __init__(self, camera: Camera, meshes: Sequence[kernels.Surface], device: str = "cpu") -> None:
+        self.camera, self._device = camera, kernels.check_device(device)
+        self.raster = kernels.Rasteriser(kernels.grid(camera), meshes, self._device)
+        self._graph = kernels.Graph([self.raster.launch], self._device)
+
+    def place(self, T_world_link: Array) -> None:
+        """Move the links to these poses (n, 4, 4)."""
+        self.raster.place(self.camera.T_camera_world @ T_world_link)
+
+    def render(self, T_world_link: Array) -> RobotImage:
+        """Depth and link of what is seen with the links at these poses (n, 4, 4)."""
+        self.place(T_world_link)
+        self._graph.replay()
+        return RobotImage(*kernels.unpack(kernels.read(self.raster.keys), self.raster.grid))
+
+    def expand(self, margin: float) -> None:
+        """Draw every surface moved out by `margin` [m] along its vertex normals from now on."""
+        self.raster.margin = margin
+        self._graph = kernels.Graph([self.raster.launch], self._device)
