@@ -41,7 +41,7 @@ class Mesh:
             object.__setattr__(self, name, array)
 
     def offset(self, distance: float) -> "Mesh":
-        """The surface with every vertex moved by `distance` [m] along its normal: no cracks, since vertices are shared."""
+        """The surface with every vertex moved by `distance` [m] along its normal: shared vertices leave no cracks."""
         return Mesh(self.vertices + distance * self.normals, self.faces, self.normals)
 
 

@@ -22,6 +22,8 @@ class TaskConfig(Parameters):
     """Speed along the path."""
     corner: float = param(0.01, low=0.0, high=0.05, unit="m", live=False)
     """A corner is rounded by a parabola that begins this far before it."""
+    start: int = param(4, low=0, high=5, live=False)
+    """Corner where the path begins: 0 is the one farthest in +y, and they count with +z."""
     posture_deg: tuple[float, ...] = param((0.0, 25.0, 0.0, -85.0, 0.0, 70.0, 0.0), low=-170.0, high=170.0, unit="deg",
                                            live=False)
     """Where the search for the desired posture q_d starts; q_d is near it, with the end effector at the centre."""
@@ -31,7 +33,7 @@ class Hexagon:
     """A closed hexagonal path with parabolic corners, by its arc length."""
 
     def __init__(self, config: TaskConfig) -> None:
-        angle = np.arange(6) * np.pi / 3.0
+        angle = (np.arange(6) + config.start) * np.pi / 3.0
         ring = np.column_stack([np.zeros(6), np.cos(angle), np.sin(angle)])
         self._corners = np.asarray(config.centre) + config.radius * ring
         self._side = config.radius

@@ -29,6 +29,9 @@ class VisionConfig(Parameters):
     """The distance rho up to which obstacles are looked for around each pixel of the robot."""
     thickness: float = param(0.12, low=0.0, high=0.5, unit="m")
     """How deep an obstacle is taken to be behind its visible surface (mode interval)."""
+    neighbours: int = param(3, low=0, high=8)
+    """How many of the eight pixels around an obstacle pixel must have its depth, to 3 cm, for it to count; flying pixels
+    at the edge of an obstacle do not pass (mode interval)."""
     first_link: int = param(3, low=0, high=7)
     """The first link on which a contact is looked for; the last one is 7."""
     spread: float = param(0.005, low=0.0005, high=0.05, unit="m")
@@ -66,6 +69,7 @@ class Localizer:
         paper = config.mode == "paper"
         surface = self._expanded if paper else self._surface
         self._filter.mask(environment_depth(self.camera, self._environment, config.environment_margin))
+        self._filter.neighbours = 0 if paper else config.neighbours
         self._expanded.raster.margin = config.margin
         self._distance.keys = surface.raster.keys
         self._distance.links = sum(1 << i for i in range(config.first_link, len(LINKS)))

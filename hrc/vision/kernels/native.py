@@ -35,7 +35,7 @@ _TRIANGLE = r"""
 #if defined(__CUDA_ARCH__)
         for (int x = x0; x <= x1; ++x) {
             const float dx = (float)x - ax, b = bdx * dx + b0, c = cdx * dx + c0;
-            if (b >= -1e-5f && c >= -1e-5f && b + c <= 1.00001f)
+            if (b >= -1e-6f && c >= -1e-6f && b + c <= 1.000001f)
                 atomicMax(row + x, (__float_as_uint(az + b * zb + c * zc) & 0xFFFFFFF0u) | id);
         }
 #else
@@ -46,8 +46,8 @@ _TRIANGLE = r"""
             #pragma clang loop vectorize(enable) vectorize_width(8) interleave(disable)
             for (int i = 0; i < 8; ++i) {
                 const float d = dx + (float)i, b = bdx * d + b0, c = cdx * d + c0, iz = az + b * zb + c * zc;
-                const unsigned in = (unsigned)(b >= -1e-5f) & (unsigned)(c >= -1e-5f)
-                                  & (unsigned)(b + c <= 1.00001f) & (unsigned)(i <= n);
+                const unsigned in = (unsigned)(b >= -1e-6f) & (unsigned)(c >= -1e-6f)
+                                  & (unsigned)(b + c <= 1.000001f) & (unsigned)(i <= n);
                 const unsigned key = in ? (__builtin_bit_cast(unsigned, iz) & 0xFFFFFFF0u) | id : 0u;
                 const unsigned old = q[i];
                 q[i] = old > key ? old : key;

@@ -36,8 +36,8 @@ def zeros(n: int, dtype: Any, device: str) -> Any:
 
 
 def upload(values: np.ndarray, dtype: Any, device: str) -> Any:
-    """A device buffer with these values."""
-    return wp.array(values, dtype=dtype, device=device)
+    """A device buffer with these values; `dtype` may be a name, such as "uint32"."""
+    return wp.array(values, dtype=getattr(wp, dtype) if isinstance(dtype, str) else dtype, device=device)
 
 
 def write(buffer: Any, values: np.ndarray) -> None:

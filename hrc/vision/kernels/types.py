@@ -100,7 +100,8 @@ def pack(depth: np.ndarray, link: np.ndarray, g: Grid) -> np.ndarray:
     """The flat raster keys of a depth image [m] (+inf where nothing is) and its link image: the raster's own format."""
     with np.errstate(divide="ignore"):
         bits = (1.0 / np.where(depth > 0, depth, np.inf)).astype(np.float32).view(np.uint32)
-    keys = np.where(bits > 0, (bits & np.uint32(0xFFFFFFF0)) | (link & 15).astype(np.uint32), 0)
+    # To the nearest key: `unpack` of it gives a depth that packs to the same key again.
+    keys = np.where(bits > 0, ((bits + np.uint32(8)) & np.uint32(0xFFFFFFF0)) | (link & 15).astype(np.uint32), 0)
     flat = np.zeros(pixels(g), np.uint32)
     to_image(flat, g)[:] = keys
     return flat
