@@ -15,7 +15,6 @@ from typing import Any, Self, TypeVar
 
 from hrc.errors import ConfigError, unknown
 
-
 Tree = TypeVar("Tree", bound="Parameters")
 
 
@@ -114,25 +113,21 @@ def keys(tree: Parameters, prefix: str = "") -> dict[str, Any]:
 
 def field_of(tree: Parameters, key: str) -> dataclasses.Field[Any]:
     """The field behind `group.name`. Raises ConfigError with the near names if there is none."""
-    head, _, rest = key.partition(".")
-    for field in dataclasses.fields(tree):
-        if field.name == head:
-            value = getattr(tree, head)
-            if rest and isinstance(value, Parameters):
-                return field_of(value, rest)
-            if not rest and not isinstance(value, Parameters):
-                return field
-    raise ConfigError(unknown("parameter", key, keys(tree)))
+    if key not in keys(tree):
+        raise ConfigError(unknown("parameter", key, keys(tree)))
+    *groups, name = key.split(".")
+    for group in groups:
+        tree = getattr(tree, group)
+    return next(field for field in dataclasses.fields(tree) if field.name == name)
 
 
 def replaced(tree: Tree, key: str, value: Any) -> Tree:
     """A copy of the tree with one parameter changed. Raises ConfigError for an unknown key or a bad value."""
     if key not in keys(tree):
         raise ConfigError(unknown("parameter", key, keys(tree)))
+    return _replaced(tree, key, value)
+
+
+def _replaced(tree: Tree, key: str, value: Any) -> Tree:
     head, _, rest = key.partition(".")
-    if rest:
-        return dataclasses.replace(tree, **{head: replaced(getattr(tree, head), rest, value)})
-    try:
-        return dataclasses.replace(tree, **{head: value})
-    except ConfigError as error:
-        raise ConfigError(str(error)) from None
+    return dataclasses.replace(tree, **{head: _replaced(getattr(tree, head), rest, value) if rest else value})

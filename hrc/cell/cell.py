@@ -70,10 +70,14 @@ class Cell:
 
     def _look(self, tick: int) -> bool:
         """Expose when due; filter the robot out of a frame when it arrives, with q as it was at the frame's stamp."""
-        if self._camera_rate.due(tick):
-            self._camera.expose(tick, self._robot.T_world_link(), self._robot.bodies())
-            self._poses[tick] = self._dynamics.kinematics(self._state.q)[0]
-        frame = self._camera.latest(tick)
+        try:
+            if self._camera_rate.due(tick):
+                self._camera.expose(tick, self._robot.T_world_link(), self._robot.bodies())
+                self._poses[tick] = self._dynamics.kinematics(self._state.q)[0]
+            frame = self._camera.latest(tick)
+        except SensorError as error:
+            self._reaction.stop(f"camera: {error}")
+            return False
         if frame is None or (self.frame is not None and frame.tick == self.frame.tick):
             return False
         self.frame = frame
@@ -146,6 +150,7 @@ class Cell:
         if not hasattr(self, "_localizer"):
             self._localizer = Localizer(camera, self.scene.environment, config.vision, device=self.device)
         self._localizer.configure(config.vision)
+        self._localizer.reset()
         self._camera = DepthCamera(camera, self.scene.environment, (*self.scene.bodies, HAND), config.sensor,
                                    seed=config.seed, device=self.device)
         self._camera_rate = Rate(rates.camera_hz, base)
@@ -171,6 +176,7 @@ class Cell:
         self.nearest: Nearest | None = None
         self.contact: Contact | None = None
         self.residual, self.detected = np.zeros(7), False
+        self.truth, self.bodies = self._robot.truth(), self._robot.bodies()
         self.command = Command(Mode.IDLE, np.zeros(7), self._terms.x, path.x_d, np.zeros(3))
 
     def _mean_tau(self) -> Array:
@@ -178,17 +184,21 @@ class Cell:
         self._tau_sum = np.zeros(7)
         return mean
 
+    def _truth(self) -> Truth:
+        """What the plant knows, with what a perfect camera would see of it: for those who look, never for the loop."""
+        t = self._robot.truth()
+        return Truth(t.F_world, t.p_world, t.link, t.tau_ext, self._camera.sees(t.p_world)) if t.link >= 0 else t
+
     def _snapshot(self, state: RobotState, events: tuple[Event, ...], refused: tuple[tuple[Event, str], ...],
                   fresh_control: bool, fresh_frame: bool) -> Snapshot:
-        truth = self._robot.truth()
-        if truth.link >= 0 and fresh_control:
-            truth = Truth(truth.F_world, truth.p_world, truth.link, truth.tau_ext, self._camera.sees(truth.p_world))
+        if fresh_control:
+            self.truth, self.bodies = self._truth(), self._robot.bodies()
         seen = self._localizer
         return Snapshot(
             tick=self.tick, time=self.tick / self.config.rates.base_hz, state=state, command=self.command,
             T_world_link=self._terms.T_world_link, residual=self.residual, detected=self.detected,
             contact=self.contact, nearest=self.nearest, frame=self.frame, foreground=seen.foreground,
-            robot_image=seen.robot_image, truth=truth, bodies=self._robot.bodies(), events=events, refused=refused,
+            robot_image=seen.robot_image, truth=self.truth, bodies=self.bodies, events=events, refused=refused,
             fresh_control=fresh_control, fresh_frame=fresh_frame, pull=self._robot.grip.pull)
 
 

@@ -48,8 +48,8 @@ class ContactTracker:
     def update(self, r: Array, detector: Detector, nearest: Nearest | None, terms: Terms, *, keep: bool) -> Contact | None:
         """The contact now, or None when nothing is detected or its place is not known.
 
-        r: residual [N m] (7,); detector: what Eq. (4) says of it. nearest: the latest localization. keep: hold on to the point while it is unseen, however
-        long, because the controller still acts at it.
+        r: residual [N m] (7,); detector: what Eq. (4) says of it. nearest: the latest localization. keep: hold on to the
+        point while it is unseen, however long, because the controller still acts at it.
         """
         self._follow(nearest, terms, keep=keep and detector.detected)
         if not detector.detected or self._point is None:

@@ -14,8 +14,9 @@ EPSILON, DAMPING = 0.05, 0.05
 """Singular values of a task Jacobian below EPSILON [m] are damped, by DAMPING [m] at zero."""
 EPSILON_C = 0.1
 """The same for a contact Jacobian, whose directions fade near the elbow."""
-MOBILITY = (0.02, 0.1)
-"""|P J_c^T F|^2 / |F|^2 [m2] below which the null space cannot help the contact point along F, and above which it can."""
+ROOM = (0.1, 0.2)
+"""|P J_c^T F|^2 / |J_c^T F|^2, the part of the motion along F that leaves the task alone: below the first there is too
+little to make room for a push, above the second enough. The elbow has 0.25 to 0.45 sideways, the wrist 0.01."""
 RANK = 1e-3
 """A singular value below this [m] is none: its direction belongs to the null space."""
 
@@ -69,10 +70,11 @@ def not_into_the_push(task: Array, null: Array, J_c: Array, P: Array, F: Array) 
     where it can: fully where it moves the point along F well (the elbow), not at all where it hardly does (the wrist),
     since there it would swing the whole arm for millimetres.
     """
-    w = P @ (J_c.T @ F)
+    along = J_c.T @ F
+    w = P @ along
     power = float(F @ (J_c @ (task + null)))
-    mobility = float(w @ w) / max(float(F @ F), 1e-12)
-    share = float(np.clip((mobility - MOBILITY[0]) / (MOBILITY[1] - MOBILITY[0]), 0.0, 1.0))
+    room = float(w @ w) / max(float(along @ along), 1e-12)
+    share = float(np.clip((room - ROOM[0]) / (ROOM[1] - ROOM[0]), 0.0, 1.0))
     if power >= 0.0 or share == 0.0:
         return null
     return null - w * (share * power / float(w @ w))

@@ -163,7 +163,7 @@ class Reaction:
         if c.law == "printed":
             self._decide_as_printed(q, terms, contact, f)
         elif self.mode is Mode.ABORT and self._latch is not None:
-            self._follow_the_contact(terms, contact, self._latch)
+            self._follow_the_contact(contact, self._latch)
             e = apply(terms.T_world_link[self._latch.link], self._latch.p_link) - self._latch.x_cd
             if self._quiet >= c.abort_clear and float(np.sqrt(e @ e)) < c.abort_error:
                 self._enter(Mode.IDLE)
@@ -191,7 +191,7 @@ class Reaction:
         self._latch = _Latch(contact.link, contact.p_link, q.copy(), terms.T_world_link.copy())
         self._enter(Mode.ABORT)
 
-    def _follow_the_contact(self, terms: Terms, contact: Contact | None, latch: _Latch) -> None:
+    def _follow_the_contact(self, contact: Contact | None, latch: _Latch) -> None:
         """When the contact has moved to another link, hold to the new point, where it was at the beginning."""
         if contact is not None and contact.link != latch.link:
             self._latch = _Latch(contact.link, contact.p_link, latch.q_cd, latch.T_cd)
@@ -220,13 +220,13 @@ class Reaction:
         task = laws.task_velocity(J.pinv, self.path.advance(path_speed, self._dt), e, c.k_p, c.v_reconnect)  # (11)
         null = J.projector @ laws.posture_velocity(q, self._q_d, c.k_0)  # (12), first branch
         if self.mode is Mode.RELAX and contact is not None:  # (12), second branch
-            null = self._yielding(terms, J.projector, contact, null)
+            null = self._yielding(J.projector, contact, null)
         null = laws.with_forgetting(null, J.projector, self.dq, c.lam, unit_gain=c.law == "latched")  # (15)
         if self.mode is Mode.RELAX and contact is not None and c.relax_form == "yielding":
             null = laws.not_into_the_push(task, null, contact.J_c, J.projector, contact.F_world)
         return _Velocity(task, null), path_speed
 
-    def _yielding(self, terms: Terms, P: Array, contact: Contact, null: Array) -> Array:
+    def _yielding(self, P: Array, contact: Contact, null: Array) -> Array:
         c = self.config
         if c.relax_form == "printed":
             return null + P @ laws.relax_velocity_printed(contact.J_c, contact.F_world, c.k_f)

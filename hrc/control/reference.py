@@ -22,7 +22,7 @@ class TaskConfig(Parameters):
     """Speed along the path."""
     corner: float = param(0.01, low=0.0, high=0.05, unit="m", live=False)
     """A corner is rounded by a parabola that begins this far before it."""
-    start: int = param(4, low=0, high=5, live=False)
+    start: int = param(3, low=0, high=5, live=False)
     """Corner where the path begins: 0 is the one farthest in +y, and they count with +z."""
     posture_deg: tuple[float, ...] = param((0.0, 25.0, 0.0, -85.0, 0.0, 70.0, 0.0), low=-170.0, high=170.0, unit="deg",
                                            live=False)

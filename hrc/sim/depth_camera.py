@@ -102,7 +102,7 @@ class DepthCamera:
 
     def perfect(self) -> Array:
         """The last frame without any noise: depth [m] (H, W), +inf where there is nothing."""
-        return kernels.unpack(kernels.read(self._raster.keys), self._raster.grid)[0]
+        return self._raster.image()[0]
 
     def sees(self, p_world: ArrayLike) -> bool:
         """Whether the surface in the last noise-free render, at that point's pixel, is within 2 cm of it in depth."""

@@ -53,6 +53,7 @@ class SimulatedRobot:
         self._sensor = TorqueSensor(self.limits.tau_max, plant.torque_noise, plant.friction_left, rng)
         self._links = np.array([self.model.body(name).id for name in LINKS])
         self._link_of_geom = self._geom_links()
+        self._still = np.zeros(7)
         self.grip = Grip(self.model, self._data, self._links, push)
         self.obstacles = Obstacles(self.model, self._data, scene.bodies, obstacles)
         self._tick = 0
@@ -95,7 +96,7 @@ class SimulatedRobot:
         share = min(1.0, self._since / self._ramp_ticks)
         dq_ref = self._previous + share * (self._command - self._previous)
         ramping = self._since <= self._ramp_ticks
-        ddq_ref = (self._command - self._previous) / (self._ramp_ticks * self._dt) if ramping else np.zeros(7)
+        ddq_ref = (self._command - self._previous) / (self._ramp_ticks * self._dt) if ramping else self._still
         self._target = np.clip(self._target + dq_ref * self._dt, q - self._config.leash, q + self._config.leash)
         wn = self._config.servo_wn
         ddq = ddq_ref + 2.0 * wn * (dq_ref - v) + wn * wn * (self._target - q)
@@ -148,7 +149,7 @@ class SimulatedRobot:
         """Distance from a point inside a link to its surface along a direction of the world [m]."""
         inside, far = self.point(link, p_link), 0.5
         geoms = np.flatnonzero((self._link_of_geom == link) & (self.model.geom_contype == 1))
-        hits = [self._ray(g, inside + far * direction, -direction) for g in geoms]
+        hits = [self._ray(int(g), inside + far * direction, -direction) for g in geoms]
         return far - min((h for h in hits if h >= 0.0), default=far)
 
     def surface_point(self, link: int, p_link: Array, direction: Array) -> Array:

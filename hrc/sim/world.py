@@ -6,7 +6,7 @@ import numpy as np
 from hrc.model import load_spec
 from hrc.scene import BodySpec, Scene
 
-SKIN = {"solref": [-6000.0, -120.0], "solimp": [0.0, 0.9, 0.01, 0.5, 2.0]}
+SKIN = {"solref": [-6000.0, -120.0], "solimp": [0.0, 0.9, 0.005, 0.5, 2.0]}
 """Contact impedance of an obstacle: progressive, so that its drive sets the softness and the contact does not chatter."""
 PARKED = -20.0
 """Obstacles outside the scene wait at this height [m], 2 m apart, without drive."""

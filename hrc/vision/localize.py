@@ -34,9 +34,9 @@ class VisionConfig(Parameters):
     at the edge of an obstacle do not pass (mode interval)."""
     first_link: int = param(3, low=0, high=7)
     """The first link on which a contact is looked for; the last one is 7."""
-    spread: float = param(0.005, low=0.0005, high=0.05, unit="m")
+    spread: float = param(0.01, low=0.0005, high=0.05, unit="m")
     """Excess distance at which a pixel's weight in the patch falls to 1/e (mode interval)."""
-    patch: float = param(0.06, low=0.005, high=0.5, unit="m")
+    patch: float = param(0.10, low=0.005, high=0.5, unit="m")
     """Radius of the patch around the first nearest pixel (mode interval)."""
 
 
@@ -57,11 +57,15 @@ class Localizer:
         self._filter = kernels.Filter(grid, self._expanded.raster.keys, self._device)
         self._distance = kernels.Distance(grid, self._surface.raster.keys, self._filter, self._device)
         self._point = kernels.ContactPoint(self._distance)
+        self.configure(config or VisionConfig())
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last frame."""
         self._stamp: int | None = None
+        self._T_stamp: Array | None = None
         self._foreground: DepthFrame | None = None
         self._robot: RobotImage | None = None
-        self._T_stamp: Array | None = None
-        self.configure(config or VisionConfig())
 
     def configure(self, config: VisionConfig) -> None:
         """Take changed parameters from the next call on."""

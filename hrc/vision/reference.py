@@ -57,6 +57,18 @@ def filtered(real: Array, robot: Array, environment: Array) -> Array:
     return np.where(measured < np.minimum(robot, environment), measured, np.inf)
 
 
+def supported(real: Array, foreground: Array, neighbours: int, step: float = 0.03) -> Array:
+    """The foreground without the pixels that have fewer than `neighbours` of their eight within `step` [m] in `real`."""
+    around = np.pad(np.where(real > 0, real, np.inf), 1, constant_values=np.inf)
+    rows, columns = real.shape
+    count = np.zeros(real.shape, int)
+    for dv, du in ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)):
+        beside = around[1 + dv : 1 + dv + rows, 1 + du : 1 + du + columns]
+        with np.errstate(invalid="ignore"):
+            count += np.abs(beside - foreground) < step
+    return np.where(count >= neighbours, foreground, np.inf)
+
+
 def distance_map(camera: Camera, robot: Array, foreground: Array, reach: float, thickness: float) -> Array:
     """Distance [m] (H, W) of each robot pixel to the nearest obstacle pixel, +inf off the robot and beyond `reach`.
 
@@ -84,7 +96,7 @@ def distance_map(camera: Camera, robot: Array, foreground: Array, reach: float, 
 
 
 def contact_point(camera: Camera, robot: Array, link: NDArray[np.uint8], distances: Array, *, centred: bool = True,
-                  spread: float = 0.005, patch: float = 0.06) -> tuple[int, int, int, float, float] | None:
+                  spread: float = 0.01, patch: float = 0.1) -> tuple[int, int, int, float, float] | None:
     """Pixel u, v, link, depth [m] of the point that stands for the contact, and the least distance [m]; None if none.
 
     centred: the centre of the near-minimal pixels of that link within `patch` [m] of the first least pixel, weighted by

@@ -17,9 +17,14 @@ class FixedBox(Protocol):
     """A box with sides along the world's axes: centre and half lengths [m]."""
 
     @property
-    def centre(self) -> Vector: ...
+    def centre(self) -> Vector:
+        """In the world [m]."""
+        ...
+
     @property
-    def half(self) -> Vector: ...
+    def half(self) -> Vector:
+        """Half the length of each side [m]."""
+        ...
 
 
 def environment_depth(camera: Camera, boxes: Sequence[FixedBox], grow: float = 0.0) -> Array:
@@ -61,7 +66,7 @@ class Renderer:
         """Depth and link of what is seen with the links at these poses (n, 4, 4)."""
         self.place(T_world_link)
         self._graph.replay()
-        return RobotImage(*kernels.unpack(kernels.read(self.raster.keys), self.raster.grid))
+        return RobotImage(*self.raster.image())
 
     def expand(self, margin: float) -> None:
         """Draw every surface moved out by `margin` [m] along its vertex normals from now on."""

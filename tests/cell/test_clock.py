@@ -1,5 +1,7 @@
 """Rates neither drift nor bunch; a delayed value is the newest whose time has come."""
 
+from itertools import pairwise
+
 import pytest
 
 from hrc.cell.clock import Delayed, Rate, RatesConfig
@@ -11,7 +13,7 @@ def test_a_rate_is_exact_over_a_second_and_even_within(hz):
     rate = Rate(hz, 1000)
     due = [tick for tick in range(10_000) if rate.due(tick)]
     assert len(due) == 10 * hz
-    gaps = {b - a for a, b in zip(due, due[1:], strict=False)}
+    gaps = {b - a for a, b in pairwise(due)}
     assert max(gaps) - min(gaps) <= 1
 
 

@@ -55,7 +55,7 @@ def test_task_and_posture_do_not_press_either(seed):
     np.testing.assert_allclose(J @ kept, 0.0, atol=1e-9)
     if F @ (J_c @ (task + null)) >= 0.0:
         np.testing.assert_array_equal(kept, null)
-    elif np.linalg.norm(P @ J_c.T @ F) ** 2 > laws.MOBILITY[1] * np.linalg.norm(F) ** 2:
+    elif np.linalg.norm(P @ J_c.T @ F) ** 2 > laws.ROOM[1] * np.linalg.norm(J_c.T @ F) ** 2:
         assert F @ (J_c @ (task + kept)) == pytest.approx(0.0, abs=1e-9)
 
 

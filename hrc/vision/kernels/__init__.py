@@ -10,9 +10,9 @@ from hrc.vision.kernels.filtering import Filter
 from hrc.vision.kernels.noise import Noise
 from hrc.vision.kernels.raster import Rasteriser, Surface
 from hrc.vision.kernels.runtime import Graph, check_device, read, upload, warm, write
-from hrc.vision.kernels.types import MODULE, Grid, grid, key_depth, pack, to_image, unpack
+from hrc.vision.kernels.types import MODULE, NO_LINK, Grid, grid, key_depth, pack, to_image, unpack
 
 __all__ = [
-    "MODULE", "ContactPoint", "Distance", "Filter", "Graph", "Grid", "Noise", "Rasteriser", "Surface", "check_device",
+    "MODULE", "NO_LINK", "ContactPoint", "Distance", "Filter", "Graph", "Grid", "Noise", "Rasteriser", "Surface", "check_device",
     "grid", "key_depth", "pack", "read", "to_image", "unpack", "upload", "warm", "write",
 ]

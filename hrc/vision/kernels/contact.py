@@ -103,7 +103,7 @@ class ContactPoint:
 
     def __init__(self, distance: Distance) -> None:
         self._distance, device = distance, distance.device
-        self.centred, self.spread, self.patch = True, 0.005, 0.06
+        self.centred, self.spread, self.patch = True, 0.01, 0.1
         self._sums, self._chosen = zeros(4, wp.int64, device), zeros(1, wp.uint64, device)
         self._result = zeros(5, wp.float64, device)
 

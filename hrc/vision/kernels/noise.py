@@ -23,7 +23,7 @@ from hrc.vision.kernels.types import MODULE, Floats, Grid, Keys, pixels, to_imag
     const unsigned* __restrict above = keys.data + (y > 0 ? y - 1 : y) * g.stride;
     const unsigned* __restrict below = keys.data + (y < g.height - 1 ? y + 1 : y) * g.stride;
     float* __restrict out = depth.data + y * g.stride;
-    const float inf = __builtin_inff();
+    const float inf = __builtin_bit_cast(float, 0x7F800000u);
     const unsigned draw = frame.data[0];
     const float per_metre = 1.0f / quantum;
     #pragma clang loop vectorize(enable)
@@ -38,10 +38,10 @@ from hrc.vision.kernels.types import MODULE, Floats, Grid, Keys, pixels, to_imag
                     dd = d > a ? d - a : a - d;
         const float sx = (dl < dr ? dl : dr) * g.fx, sy = (du < dd ? du : dd) * g.fy;
 
-        unsigned h = (unsigned)(y * g.width + x) * 0x9E3779B1u + draw;
+        unsigned h = (unsigned)(y * g.width + x) * 0x9E3779B1u ^ draw;
         h ^= h >> 16; h *= 0x85EBCA6Bu; h ^= h >> 13; h *= 0xC2B2AE35u; h ^= h >> 16;
-        unsigned k = h + 0x6C078965u;
-        k ^= k >> 15; k *= 0x2C1B3C6Du; k ^= k >> 12; k *= 0x297A2D39u; k ^= k >> 15;
+        unsigned k = h * 0x2C1B3C6Du;
+        k ^= k >> 15;
         const float normal = ((float)(int)((h & 255u) + ((h >> 8) & 255u) + ((h >> 16) & 255u) + (h >> 24)) - 510.0f)
                            * (1.0f / 147.8f);
         const float chance = (float)(int)(k & 65535u) * (1.0f / 65536.0f);
@@ -91,7 +91,8 @@ class Noise:
 
     def draw(self, seed: int, frame: int) -> None:
         """Choose the random numbers: those of this frame of this seed."""
-        write(self._frame, np.random.SeedSequence([seed, frame]).generate_state(1).astype(np.uint32))
+        # Fibonacci hashing: seeds and frames far apart in 32 bits; the kernel stirs them further for each pixel.
+        write(self._frame, np.array([(seed * 0x9E3779B97F4A7C15 + frame * 0xBF58476D1CE4E5B9) >> 32 & 0xFFFFFFFF], np.uint32))
 
     def launch(self) -> None:
         """Queue the measurement."""

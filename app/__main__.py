@@ -1,0 +1,146 @@
+"""The command line. Each command imports what it needs when it runs, so that --help is quick."""
+
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
+
+from hrc.errors import HrcError
+
+Settings = Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], arg(name="set", metavar="KEY=VALUE")]
+
+EXTRAS = {"viser": "page", "websockets": "page", "msgspec": "page", "rerun": "record", "pyarrow": "record",
+          "matplotlib": "record"}
+"""What may not be installed, and the extra that brings it."""
+
+commands = tyro.extras.SubcommandApp()
+
+
+@commands.command
+def serve(scenario: str = "free", host: str = "127.0.0.1", port: int = 8080, device: str = "cpu",
+          settings: Settings = (), seed: int = 0, open_browser: FlagCreatePairsOff[bool] = False) -> None:
+    """Open the cell in the browser: push the arm, drag obstacles into it (the command without a name does this).
+
+    Args:
+        scenario: Name of a scenario, or a TOML file.
+        host: Address to listen on.
+        port: Port to listen on.
+        device: Compute device of the vision, cpu or cuda:0.
+        settings: Parameters to change, as control.F_abort=30.
+        seed: Seed of all noise.
+        open_browser: Open the page in the default browser.
+    """
+    from app.serve.main import serve as start
+    from app.settings import parse
+
+    start(scenario, host=host, port=port, device=device, settings=[parse(setting) for setting in _flat(settings)],
+          seed=seed, open_browser=open_browser)
+
+
+@commands.command
+def run(scenario: Annotated[Positional[str], arg(metavar="SCENARIO")], out: Path, seed: int = 0,
+        duration: float | None = None, settings: Settings = (), preset: str = "default", device: str = "cpu",
+        depth: Literal["none", "sampled", "full"] = "sampled", overwrite: FlagCreatePairsOff[bool] = False,
+        quiet: FlagCreatePairsOff[bool] = False, no_record: FlagCreatePairsOff[bool] = False) -> None:
+    """Run a scenario without a screen and write a folder: recording, signals, metrics, figure.
+
+    Args:
+        scenario: Name of a scenario, or a TOML file.
+        out: Folder to write; it must not exist.
+        seed: Seed of all noise.
+        duration: Simulated seconds to run; the scenario's own by default.
+        settings: Parameters to change, as control.F_abort=30.
+        preset: Values to start from: default; paper, those printed in the paper; literal, its laws to the letter;
+            ideal, a robot without noise or model error.
+        device: Compute device of the vision, cpu or cuda:0.
+        depth: Depth images to keep in session.rrd: none, sampled (5 a second), full (all).
+        overwrite: Replace the folder of an earlier run.
+        quiet: Print only the result.
+        no_record: Leave session.rrd out.
+    """
+    from app.headless import Job, execute
+
+    job = Job(scenario, out, seed, duration, _flat(settings), preset, device, depth, not no_record, overwrite, quiet)
+    figures = execute(job)
+    _print_run(figures, out)
+    if figures["recording_problem"]:
+        print(f"elbowroom: {figures['recording_problem']}", file=sys.stderr)
+    if figures["interrupted"] or figures["recording_problem"]:
+        raise SystemExit(130 if figures["interrupted"] else 1)
+
+
+@commands.command
+def bench() -> None:
+    """Measure the perception cycle beside its brute-force reference."""
+    from app.bench import bench as measure
+
+    measure()
+
+
+@commands.command
+def scenarios() -> None:
+    """List the scenarios."""
+    from hrc.cell import scenario
+
+    for name in scenario.names():
+        found = scenario.load(name)
+        print(f"{name:<12} {found.duration:6.1f} s  {found.title}")
+
+
+@commands.command
+def parameters(preset: str = "default") -> None:
+    """List every parameter: key, default, range, unit, meaning.
+
+    Args:
+        preset: Whose values to list.
+    """
+    from app.settings import configured, table
+
+    print(table(configured(preset)))
+
+
+def _flat(settings: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
+    return tuple(setting for group in settings for setting in group)
+
+
+def _print_run(figures: dict[str, Any], out: Path) -> None:
+    sizes = figures["sizes_bytes"]
+    for start, end, mode in figures["states"]:
+        print(f"{start:8.3f} to {end:8.3f} s  {mode}")
+    if figures["interrupted"]:
+        print(f"interrupted after {figures['simulated_s']:.1f} s; the folder holds that part")
+    recording = f", session.rrd {sizes['session.rrd'] / 1e6:.1f} MB" if "session.rrd" in sizes else ""
+    print(f"{out}: {sum(sizes.values()) / 1e6:.1f} MB{recording}; {figures['simulated_s']:.1f} s simulated "
+          f"at {figures['real_time_factor']:.2f} x real time")
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    """Run a command; what the user can put right is one line on stderr and exit code 2."""
+    args = list(sys.argv[1:] if args is None else args)
+    if not args or (args[0].startswith("-") and args[0] not in ("-h", "--help")):
+        args.insert(0, "serve")
+    try:
+        commands.cli(prog="elbowroom", args=args,
+                     description="A robot arm that yields to people. Without a command: serve.")
+    except HrcError as error:
+        print(f"elbowroom: {' '.join(str(error).split())}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package not in EXTRAS:
+            raise
+        print(f'elbowroom: this needs {package}; install "elbowroom[{EXTRAS[package]}]"', file=sys.stderr)
+        raise SystemExit(2) from None
+    except BrokenPipeError:  # whoever read the output has had enough, as `| head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except KeyboardInterrupt:
+        print("elbowroom: interrupted", file=sys.stderr)
+        raise SystemExit(130) from None
+
+
+if __name__ == "__main__":
+    main()

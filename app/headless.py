@@ -1,0 +1,204 @@
+"""A run without a screen: one scenario as fast as it goes, and what it leaves in a folder."""
+
+import json
+import platform
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from app import metrics, output, settings
+from app.interrupt import Interrupt
+from app.record.signals import SignalTable, write_parquet
+from hrc.cell import pace, scenario
+from hrc.cell.cell import Cell
+from hrc.cell.run import Inbox, Observer, run
+from hrc.config import Config
+from hrc.errors import HrcError
+from hrc.events import Reset, to_dict
+from hrc.messages import Snapshot
+from hrc.parameters import keys
+
+if TYPE_CHECKING:
+    from app.record.recorder import Depth, Recorder
+
+MAX_DURATION = 24 * 3600.0
+"""Longest run [s of simulated time]."""
+_SLICE = 0.1
+"""Simulated time [s] between two looks at Ctrl-C and the progress bar."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to run and what to keep; the defaults of the command line."""
+
+    scenario: str
+    out: Path
+    seed: int | None = None
+    duration: float | None = None
+    settings: Sequence[str] = ()
+    preset: str = "default"
+    device: str = "cpu"
+    depth: "Depth" = "sampled"
+    record: bool = True
+    overwrite: bool = False
+    quiet: bool = False
+
+
+@dataclass
+class _Clock:
+    """Wall times of the phases [s]."""
+
+    started: float = field(default_factory=time.perf_counter)
+    laps: dict[str, float] = field(default_factory=dict)
+
+    def lap(self, name: str) -> None:
+        now = time.perf_counter()
+        self.laps[name] = now - self.started
+        self.started = now
+
+
+class _Refusals:
+    """An observer that keeps the events the cell refused."""
+
+    def __init__(self) -> None:
+        self.found: list[tuple[int, Any, str]] = []
+
+    def on_step(self, snapshot: Snapshot) -> None:
+        self.found += [(snapshot.tick - 1, event, reason) for event, reason in snapshot.refused]
+
+
+def execute(job: Job) -> dict[str, Any]:
+    """Run, write the output folder, and return the metrics.
+
+    Raises HrcError before anything is written if the scenario, a setting, the device or the folder is refused. After
+    Ctrl-C the folder holds the part that was run, and the metrics say `interrupted`.
+    """
+    clock = _Clock()
+    script = scenario.load(job.scenario)
+    config = settings.configured(job.preset, script, job.settings, job.seed)
+    end = _end(job, script, config.rates.base_hz)
+    output.check(job.out, overwrite=job.overwrite)
+    _say(job, "building the cell; kernels compile the first time (about 30 s)")
+    cell = Cell(config, job.device)
+    about = {"scenario": script.name, "preset": job.preset, "seed": config.seed, "device": job.device, **versions()}
+    table, refusals = SignalTable(), _Refusals()
+    with output.folder(job.out, overwrite=job.overwrite) as folder:
+        recorder = _recorder(job, folder / "session.rrd", cell, about) if job.record else None
+        observers: list[Observer] = [table, refusals, *([recorder] if recorder else [])]
+        clock.lap("set_up")
+        try:
+            interrupted = _drive(job, cell, Inbox(script, config.rates.base_hz), observers, end)
+        finally:
+            problem = _close(recorder)
+        clock.lap("run")
+        columns = table.columns()
+        figures = {**about, "simulated_s": cell.tick / config.rates.base_hz, "interrupted": interrupted,
+                   "recording_problem": problem, **metrics.compute(columns),
+                   "counts": _counts(cell, table, refusals, recorder)}
+        write_parquet(folder / "signals.parquet", columns, about)
+        _write_json(folder / output.MARK, {**about, "parameters": keys(config)})
+        _write_events(folder / "events.jsonl", cell, refusals)
+        _draw(folder, script.name, columns, config)
+        clock.lap("write")
+        figures["wall_s"] = clock.laps
+        figures["real_time_factor"] = figures["simulated_s"] / clock.laps["run"]
+        figures["sizes_bytes"] = {path.name: path.stat().st_size for path in sorted(folder.iterdir())}
+        _write_json(folder / "metrics.json", figures)
+    return figures
+
+
+def _end(job: Job, script: scenario.Scenario, base_hz: int) -> int:
+    duration = script.duration if job.duration is None else job.duration
+    if not 1.0 / base_hz <= duration <= MAX_DURATION:
+        raise HrcError(f"the duration must be {1.0 / base_hz:g} to {MAX_DURATION:g} s, not {duration!r}")
+    if any(isinstance(event, Reset) for _, event in script.events):
+        raise HrcError(f"scenario {script.name} holds a Reset: without a screen it would run for ever")
+    return round(duration * base_hz)
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a result depends on."""
+    found = {"python": platform.python_version()}
+    for name in ("elbowroom", "numpy", "mujoco", "pin", "warp-lang", "rerun-sdk"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def _recorder(job: Job, path: Path, cell: Cell, about: dict[str, Any]) -> "Recorder":
+    from app.record.recorder import Recorder  # here, because rerun takes half a second and is an extra
+    from hrc.vision.camera import Camera
+
+    config = cell.config
+    return Recorder(path, base_hz=config.rates.base_hz, scene=cell.scene, camera=Camera(config.camera),
+                    parameters=keys(config), about=about, depth=job.depth, wait=True)
+
+
+def _close(recorder: "Recorder | None") -> str:
+    """Finish the recording. A lost one must not cost the rest of the results: the problem goes into the metrics."""
+    try:
+        if recorder:
+            recorder.close()
+    except HrcError as error:
+        return str(error)
+    return ""
+
+
+def _drive(job: Job, cell: Cell, inbox: Inbox, observers: list[Observer], end: int) -> bool:
+    """Step the cell until its tick is `end`. Returns whether Ctrl-C came first."""
+    from tqdm import tqdm
+
+    base_hz, interrupt = cell.config.rates.base_hz, Interrupt()
+    hidden = job.quiet or not sys.stderr.isatty()
+    with interrupt.listening(), tqdm(total=end / base_hz, disable=hidden, desc=job.scenario,
+                                     bar_format="{desc} {bar} {n:.1f}/{total:.1f} s simulated, {elapsed}") as bar:
+        while cell.tick < end and not interrupt.set:
+            before = cell.tick
+            run(cell, pace.FreeRun(), inbox, observers, until=min(end, before + round(_SLICE * base_hz)))
+            bar.update((cell.tick - before) / base_hz)
+    return interrupt.set
+
+
+def _counts(cell: Cell, table: SignalTable, refusals: _Refusals, recorder: "Recorder | None") -> dict[str, int]:
+    counts = {"ticks": cell.tick, "control_ticks": len(table), "events": len(cell.log),
+              "refused": len(refusals.found)}
+    if recorder:
+        counts |= {"depth_images": recorder.images_kept, "depth_images_dropped": recorder.images_dropped}
+    return counts
+
+
+def _draw(folder: Path, name: str, columns: dict[str, Any], config: Config) -> None:
+    from app.report import figure
+
+    figure(folder / ("figure5.png" if name == "paper" else "figure.png"), columns, F_relax=config.control.f_relax,
+           F_abort=config.control.f_abort, title=f"{name}, seed {config.seed}")
+
+
+def _write_events(path: Path, cell: Cell, refusals: _Refusals) -> None:
+    lines: list[tuple[int, dict[str, Any]]] = [(tick, {"event": to_dict(event)}) for tick, event in cell.log]
+    lines += [(tick, {"event": to_dict(event), "refused": reason}) for tick, event, reason in refusals.found]
+    lines.sort(key=lambda line: line[0])
+    path.write_text("".join(json.dumps({"tick": tick, **rest}) + "\n" for tick, rest in lines))
+
+
+def _write_json(path: Path, values: dict[str, Any]) -> None:
+    path.write_text(json.dumps(values, indent=1, allow_nan=False, default=_plain) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{value!r} is not JSON")
+
+
+def _say(job: Job, text: str) -> None:
+    if not job.quiet:
+        print(text, file=sys.stderr)

@@ -1,0 +1,118 @@
+"""The figures of a run, computed from its signals alone: so a table read back gives the same ones."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.record.signals import Columns, digest
+from hrc.messages import Mode
+
+FIRM = 8.0
+"""True contact force [N] above which localisation and force estimate are judged."""
+SETTLING = 2.0
+"""Time after an ABORT [s] that does not count for the end effector's error: the arm is coming back to its path."""
+ALWAYS_FINITE = ("q", "dq", "dq_command", "tau", "residual", "ee", "ee_desired", "force_true", "admittance_error")
+FINITE_IN_CONTACT = ("force_est", "contact_point_est", "contact_power", "sigma_min")
+
+Mask = NDArray[np.bool_]
+
+
+def compute(columns: Columns) -> dict[str, Any]:
+    """All figures, ready for JSON; a figure without a single tick to judge is None."""
+    spans = states(columns)
+    return {
+        "states": spans,
+        "aborts": [start for start, _, mode in spans if mode == Mode.ABORT],
+        "ee_error": {mode.value: _ee_error(columns, mode) for mode in (Mode.IDLE, Mode.RELAX)},
+        "localisation": _localisation(columns),
+        "force": _force(columns),
+        "contact_power_min_relax_W": _least(columns["contact_power"][columns["state"] == Mode.RELAX]),
+        "force_true_max_N": _largest(np.linalg.norm(columns["force_true"], axis=1)),
+        "ticks_by_state": {mode.value: int((columns["state"] == mode).sum()) for mode in Mode},
+        "everything_finite": _finite(columns),
+        "signals_sha256": digest(columns),
+    }
+
+
+def states(columns: Columns) -> list[list[Any]]:
+    """The run as [from, to, mode] in order [s]; each span ends where the next begins."""
+    t, mode = columns["t"], columns["state"]
+    if not t.size:
+        return []
+    starts = np.flatnonzero(np.r_[True, mode[1:] != mode[:-1]])
+    ends = np.r_[t[starts[1:]], t[-1]]
+    return [[float(t[i]), float(end), str(mode[i])] for i, end in zip(starts, ends, strict=True)]
+
+
+def settled(columns: Columns) -> Mask:
+    """Ticks outside ABORT and at least `SETTLING` after one."""
+    t, aborted = columns["t"], columns["state"] == Mode.ABORT
+    last = np.maximum.accumulate(np.where(aborted, t, -np.inf))
+    return t - last > SETTLING
+
+
+def _ee_error(columns: Columns, mode: Mode) -> dict[str, Any]:
+    judged = (columns["state"] == mode) & settled(columns)
+    error = np.linalg.norm(columns["ee"] - columns["ee_desired"], axis=1)[judged]
+    return {"ticks": int(error.size), "max_m": _largest(error),
+            "rms_m": float(np.sqrt(np.mean(error**2))) if error.size else None}
+
+
+def firm(columns: Columns) -> Mask:
+    """Ticks with a true contact force above `FIRM` whose point a noise-free camera would see."""
+    return (np.linalg.norm(columns["force_true"], axis=1) > FIRM) & columns["contact_visible"]
+
+
+def _localisation(columns: Columns) -> dict[str, Any]:
+    truth = columns["contact_link_true"]
+    judged = firm(columns)
+    return {**_places(columns, judged),
+            "by_link": {int(link): _places(columns, judged & (truth == link)) for link in np.unique(truth[judged])}}
+
+
+def _places(columns: Columns, judged: Mask) -> dict[str, Any]:
+    estimate, truth = columns["contact_link_est"][judged], columns["contact_link_true"][judged]
+    distance = np.linalg.norm(columns["contact_point_est"] - columns["contact_point_true"], axis=1)[judged]
+    located = estimate >= 0
+    return {"ticks": int(judged.sum()), "ticks_with_estimate": int(located.sum()),
+            "right_link": _mean(estimate == truth),  # a tick without an estimate counts as wrong
+            "right_link_of_estimates": _mean((estimate == truth)[located]),
+            "median_point_error_m": _median(distance[located])}
+
+
+def _force(columns: Columns) -> dict[str, Any]:
+    truth = columns["contact_link_true"]
+    judged = firm(columns) & (columns["contact_link_est"] >= 0)
+    by_link = {link: _forces(columns, judged & (truth == link)) for link in range(4, 8)}
+    return {"links_4_to_7": _forces(columns, judged & (truth >= 4)), "by_link": by_link}
+
+
+def _forces(columns: Columns, judged: Mask) -> dict[str, Any]:
+    estimate, truth = columns["force_est"][judged], columns["force_true"][judged]
+    error = np.linalg.norm(estimate - truth, axis=1)
+    return {"ticks": int(judged.sum()), "median_error_N": _median(error),
+            "median_relative_error": _median(error / np.linalg.norm(truth, axis=1))}
+
+
+def _finite(columns: Columns) -> bool:
+    contact = columns["contact_link_est"] >= 0
+    return all(np.isfinite(columns[name]).all() for name in ALWAYS_FINITE) \
+        and all(np.isfinite(columns[name][contact]).all() for name in FINITE_IN_CONTACT)
+
+
+def _mean(values: NDArray[Any]) -> float | None:
+    return float(values.mean()) if values.size else None
+
+
+def _median(values: NDArray[np.float64]) -> float | None:
+    return float(np.median(values)) if values.size else None
+
+
+def _largest(values: NDArray[np.float64]) -> float | None:
+    return float(values.max()) if values.size else None
+
+
+def _least(values: NDArray[np.float64]) -> float | None:
+    values = values[np.isfinite(values)]
+    return float(values.min()) if values.size else None

@@ -1,0 +1,54 @@
+"""An output folder that appears as a whole or not at all."""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from hrc.errors import HrcError
+
+MARK = "config.json"
+"""The file by which an earlier run's folder is known: nothing else is ever overwritten."""
+
+
+class OutputError(HrcError):
+    """The output folder cannot be made."""
+
+
+def check(out: Path, *, overwrite: bool = False) -> None:
+    """Raise OutputError if a run must not write to `out`."""
+    if not out.name or out.is_symlink() or (out.exists() and not out.is_dir()):
+        raise OutputError(f"{out} cannot be the output folder; name one that does not exist")
+    if not out.exists():
+        return
+    if not overwrite:
+        raise OutputError(f"the output folder {out} exists; choose another, or replace it with --overwrite")
+    if any(out.iterdir()) and not (out / MARK).is_file():
+        raise OutputError(f"{out} is not the folder of an earlier run (no {MARK} in it), so it is not overwritten")
+
+
+@contextmanager
+def folder(out: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """A hidden sibling to write into, renamed to `out` at the end.
+
+    If an HrcError or Ctrl-C leaves the block, it is removed. After any other exception, a bug, it stays as evidence.
+    """
+    check(out, overwrite=overwrite)
+    partial = out.with_name(f".{out.name}.partial")
+    try:
+        if partial.exists():
+            shutil.rmtree(partial)
+        partial.mkdir(parents=True)
+    except OSError as error:
+        raise OutputError(f"cannot make the output folder {out}: {error.strerror}") from None
+    try:
+        yield partial
+        if out.exists():
+            shutil.rmtree(out)
+        partial.rename(out)
+    except (HrcError, KeyboardInterrupt):
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+    except Exception as error:
+        error.add_note(f"What was written until then is in {partial}")
+        raise

@@ -1,0 +1,188 @@
+"""The recorder: an observer of snapshots that never holds the loop up.
+
+The loop copies numbers into blocks; a worker thread encodes and writes them. When the worker falls behind, depth images
+are dropped and counted; signals, events and transitions never are.
+"""
+
+import queue
+import shutil
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from app.record.signals import WIDTH, row
+from app.record.writer import SessionWriter
+from hrc.errors import HrcError, unknown
+from hrc.events import to_dict
+from hrc.messages import Body, DepthFrame, Mode, RobotImage, Snapshot
+from hrc.scene import Scene
+from hrc.vision.camera import Camera
+
+Depth = Literal["none", "sampled", "full"]
+SAMPLED_HZ = 5
+"""Depth images a second that a sampled recording keeps."""
+_BLOCK = 100
+"""Rows a block: half a second of signals."""
+_POSE_EVERY = 4
+"""Poses are kept at every fourth control tick (50 Hz)."""
+_IMAGES = 8
+"""Depth images that may wait for the worker."""
+_MIN_FREE = 500_000_000
+"""Bytes of disk below which the recording ends, while a footer still fits. The SDK itself would fail silently."""
+
+
+class RecordingError(HrcError):
+    """A session cannot be recorded."""
+
+
+class _Block:
+    """What the loop gathers between two deliveries; fresh arrays each time, for the SDK keeps references."""
+
+    def __init__(self) -> None:
+        self.rows = np.empty((_BLOCK, WIDTH))
+        self.n = 0
+        self.pose_ticks: list[int] = []
+        self.poses: list[Any] = []
+        self.nearest: list[Any] = []
+        self.pulls: list[Any] = []
+        self.bodies: list[tuple[Body, ...]] = []
+
+
+class Recorder:
+    """Writes `path` (.rrd) while it observes a run; call `close`, or use it as a context manager.
+
+    depth: which depth images to keep. base_hz: ticks a second. wait: let the loop wait for the worker rather than drop
+    depth images, for runs without a wall clock. Raises RecordingError if the file cannot be written.
+    """
+
+    def __init__(self, path: Path, *, base_hz: int, scene: Scene, camera: Camera, parameters: Mapping[str, Any],
+                 about: Mapping[str, Any], depth: Depth = "sampled", wait: bool = False) -> None:
+        if depth not in get_args(Depth):
+            raise RecordingError(unknown("choice of depth", depth, get_args(Depth)))
+        self._folder = path.resolve().parent
+        self._depth, self._wait = depth, wait
+        self._image_gap = 1 if depth == "full" else base_hz // SAMPLED_HZ
+        self._next_image = 0
+        self._mode: Mode | None = None
+        self._block = _Block()
+        self._control_ticks = 0
+        self.images_kept = self.images_dropped = self.image_bytes = 0
+        self.stopped = ""
+        """Why the recording ended before the run did."""
+        self._images = threading.BoundedSemaphore(_IMAGES)
+        self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._failure: Exception | None = None
+        try:
+            self._writer = SessionWriter(path, tick_ns=1_000_000_000 // base_hz, scene=scene, camera=camera,
+                                         parameters=parameters, about=about)
+        except (OSError, RuntimeError) as error:
+            raise RecordingError(f"cannot record to {path}: {error}") from None
+        self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
+        self._worker.start()
+
+    def on_step(self, snapshot: Snapshot) -> None:
+        """Take what this tick brought."""
+        for event in snapshot.events:
+            self._put(self._writer.event, snapshot.tick, _text(event))
+        for event, reason in snapshot.refused:
+            self._put(self._writer.event, snapshot.tick, _text(event), refused=reason)
+        if snapshot.command.mode is not self._mode:
+            self._mode = snapshot.command.mode
+            self._put(self._writer.mode, snapshot.tick, self._mode, snapshot.command.reason)
+        if snapshot.fresh_control:
+            self._take_row(snapshot)
+        if snapshot.fresh_frame and self._depth != "none" and snapshot.frame and snapshot.robot_image:
+            self._take_image(snapshot.frame, snapshot.robot_image)
+
+    def close(self) -> None:
+        """Write what is left and finish the file. Raises RecordingError if anything of the session was lost."""
+        self._deliver()
+        self._jobs.put(None)
+        self._worker.join()
+        try:
+            if not self.stopped:
+                self._writer.flush()
+                self._writer.close()
+        except (OSError, RuntimeError, ValueError) as error:
+            self._failure = self._failure or error
+        if self.stopped:
+            raise RecordingError(f"the recording ends early: {self.stopped}")
+        if self._failure:
+            raise RecordingError(f"the recording is not complete: {self._failure}") from self._failure
+
+    def __enter__(self) -> "Recorder":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _take_row(self, snapshot: Snapshot) -> None:
+        block = self._block
+        block.rows[block.n] = row(snapshot)
+        block.n += 1
+        if self._control_ticks % _POSE_EVERY == 0:
+            block.pose_ticks.append(snapshot.tick)
+            block.poses.append(snapshot.T_world_link)
+            block.nearest.append(snapshot.nearest.p_world if snapshot.nearest else None)
+            block.pulls.append(snapshot.pull)
+            block.bodies.append(snapshot.bodies)
+        self._control_ticks += 1
+        if block.n == _BLOCK:
+            self._deliver()
+
+    def _take_image(self, frame: DepthFrame, robot: RobotImage) -> None:
+        if frame.tick < self._next_image:
+            return
+        if not self._images.acquire(blocking=self._wait):
+            self.images_dropped += 1
+            return
+        # The first frame in each gap, so that the mean rate is exact whatever the camera's.
+        self._next_image = (frame.tick // self._image_gap + 1) * self._image_gap
+        self._jobs.put(lambda: self._release_after(frame, robot))
+
+    def _deliver(self) -> None:
+        block, self._block = self._block, _Block()
+        if block.n:
+            self._put(self._write_block, block)
+
+    def _put(self, job: Callable[..., None], *args: Any, **options: Any) -> None:
+        self._jobs.put(lambda: self._guarded(job, *args, **options))
+
+    def _work(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            try:
+                job()
+            except Exception as error:  # kept, and raised by close(): a broken recording must not end the run
+                self._failure = self._failure or error
+
+    def _guarded(self, job: Callable[..., None], *args: Any, **options: Any) -> None:
+        if not (self._failure or self.stopped):
+            job(*args, **options)
+
+    def _write_block(self, block: _Block) -> None:
+        if shutil.disk_usage(self._folder).free < _MIN_FREE:
+            self.stopped = f"less than {_MIN_FREE // 1_000_000} MB of disk are free"
+            self._writer.close()
+            return
+        self._writer.rows(block.rows[: block.n])
+        if block.pose_ticks:
+            self._writer.poses(block.pose_ticks, block.poses, block.nearest, block.pulls)
+            self._writer.bodies(block.pose_ticks, block.bodies)
+
+    def _release_after(self, frame: DepthFrame, robot: RobotImage) -> None:
+        try:
+            self._guarded(self._write_image, frame, robot)
+        finally:  # whatever became of the image: the loop may be waiting for its place
+            self._images.release()
+
+    def _write_image(self, frame: DepthFrame, robot: RobotImage) -> None:
+        self.image_bytes += self._writer.image(frame.tick, frame.depth, robot.link)
+        self.images_kept += 1
+
+
+def _text(event: Any) -> str:
+    values = to_dict(event)
+    return f"{values.pop('type')} " + " ".join(f"{key}={value}" for key, value in values.items() if value is not None)

@@ -1,0 +1,169 @@
+"""The signals of a run: one row per control tick, float64 without loss, as columns in memory and as a Parquet file."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrc.errors import HrcError
+from hrc.messages import Mode, Snapshot
+
+Columns = Mapping[str, NDArray[Any]]
+MODES = tuple(Mode)
+_CODE = {mode: code for code, mode in enumerate(MODES)}
+_ROWS = 1000
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One column. width 1 is a scalar, else a vector; kind: "float", "int", "bool" or "mode"."""
+
+    name: str
+    width: int
+    unit: str
+    meaning: str
+    kind: str = "float"
+
+
+SIGNALS = (
+    Signal("tick", 1, "1", "tick of the base rate", "int"),
+    Signal("t", 1, "s", "simulated time"),
+    Signal("q", 7, "rad", "measured joint positions"),
+    Signal("dq", 7, "rad/s", "measured joint velocities"),
+    Signal("dq_command", 7, "rad/s", "commanded joint velocities"),
+    Signal("tau", 7, "N m", "measured link-side joint torques"),
+    Signal("residual", 7, "N m", "momentum residual, Eq. (2)"),
+    Signal("ee", 3, "m", "end effector"),
+    Signal("ee_desired", 3, "m", "reference of the end effector"),
+    Signal("force_est", 3, "N", "estimated contact force on the robot, Eq. (5); NaN without a contact"),
+    Signal("force_true", 3, "N", "true net contact force on the robot"),
+    Signal("contact_point_est", 3, "m", "estimated contact point; NaN without a contact"),
+    Signal("contact_point_true", 3, "m", "true contact point; NaN without a contact"),
+    Signal("contact_link_est", 1, "1", "estimated link in contact; -1 without a contact", "int"),
+    Signal("contact_link_true", 1, "1", "true link in contact; -1 without a contact", "int"),
+    Signal("contact_visible", 1, "1", "whether a noise-free camera would see the true contact point", "bool"),
+    Signal("contact_power", 1, "W", "estimated force times the commanded velocity of the contact point; "
+                                    "NaN without a contact"),
+    Signal("distance_min", 1, "m", "distance of the robot to the nearest obstacle; NaN with none in sight"),
+    Signal("sigma_min", 1, "m", "smallest singular value of the contact Jacobian, Eq. (10); NaN without a contact"),
+    Signal("admittance_error", 3, "m", "admittance error x_cd - x_c; zero outside ABORT"),
+    Signal("state", 1, "1", "mode of the reaction", "mode"),
+)
+
+
+def _slices() -> Iterator[tuple[str, slice]]:
+    start = 0
+    for signal in SIGNALS:
+        yield signal.name, slice(start, start + signal.width)
+        start += signal.width
+
+
+AT = dict(_slices())
+"""Where each signal lies in a row."""
+WIDTH = sum(signal.width for signal in SIGNALS)
+_NAN = float("nan")
+
+
+def row(snapshot: Snapshot) -> NDArray[np.float64]:
+    """The signals of one snapshot in the order of `SIGNALS`, shape (WIDTH,); whole numbers are exact in float64."""
+    state, command, truth, contact = snapshot.state, snapshot.command, snapshot.truth, snapshot.contact
+    nearest = snapshot.nearest
+    if contact is None:
+        force = point = np.full(3, _NAN)
+        link, power, sigma_min = -1, _NAN, _NAN
+    else:
+        force, point, link, sigma_min = contact.F_world, contact.p_world, contact.link, contact.sigma_min
+        power = float(force @ (contact.J_c @ command.dq))
+    return np.concatenate([
+        (snapshot.tick, snapshot.time), state.q, state.dq, command.dq, state.tau, snapshot.residual,
+        command.x, command.x_d, force, truth.F_world, point, truth.p_world,
+        (link, truth.link, truth.visible, power, nearest.distance if nearest else _NAN, sigma_min),
+        command.admittance_error, (_CODE[command.mode],),
+    ])
+
+
+class SignalTable:
+    """An observer that keeps the signals of every control tick."""
+
+    def __init__(self) -> None:
+        self._full: list[NDArray[np.float64]] = []
+        self._block = np.empty((_ROWS, WIDTH))
+        self._n = 0
+
+    def on_step(self, snapshot: Snapshot) -> None:
+        """Append a row if this tick brought a new command."""
+        if not snapshot.fresh_control:
+            return
+        self._block[self._n] = row(snapshot)
+        self._n += 1
+        if self._n == _ROWS:
+            self._full.append(self._block)
+            self._block, self._n = np.empty((_ROWS, WIDTH)), 0
+
+    def __len__(self) -> int:
+        return len(self._full) * _ROWS + self._n
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Every signal by name, shape (rows,) or (rows, width)."""
+        table = np.concatenate([*self._full, self._block[: self._n]])
+        return {signal.name: _typed(signal, table[:, AT[signal.name]]) for signal in SIGNALS}
+
+
+def _typed(signal: Signal, values: NDArray[np.float64]) -> NDArray[Any]:
+    if signal.width > 1:
+        return np.ascontiguousarray(values)
+    scalar = values[:, 0]
+    if signal.kind == "mode":
+        return np.array([mode.value for mode in MODES])[scalar.astype(int)]
+    return scalar.astype({"float": np.float64, "int": np.int64, "bool": np.bool_}[signal.kind])
+
+
+def digest(columns: Columns) -> str:
+    """SHA-256 over names and bytes of all columns: equal for two runs exactly when every bit is."""
+    total = hashlib.sha256()
+    for name, values in columns.items():
+        total.update(name.encode())
+        total.update(np.ascontiguousarray(values).tobytes())
+    return total.hexdigest()
+
+
+def write_parquet(path: Path, columns: Columns, about: Mapping[str, Any] | None = None) -> None:
+    """Write the columns; unit and meaning stand in each field's metadata, `about` as JSON in the schema's."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    arrays, fields = [], []
+    for signal in SIGNALS:
+        values = columns[signal.name]
+        flat = pa.array(values.reshape(-1).tolist() if signal.kind == "mode" else values.reshape(-1), from_pandas=False)
+        array = pa.FixedSizeListArray.from_arrays(flat, signal.width) if signal.width > 1 else flat
+        arrays.append(array)
+        fields.append(pa.field(signal.name, array.type, nullable=False,
+                               metadata={"unit": signal.unit, "meaning": signal.meaning}))
+    schema = pa.schema(fields, metadata={"elbowroom": json.dumps(dict(about or {}))})
+    pq.write_table(pa.Table.from_arrays(arrays, schema=schema), path, compression="zstd")
+
+
+def read_parquet(path: Path) -> dict[str, NDArray[Any]]:
+    """The columns again, bit for bit. Raises HrcError if the file lacks one of them."""
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(path)
+    missing = [signal.name for signal in SIGNALS if signal.name not in table.column_names]
+    if missing:
+        raise HrcError(f"{path} is no table of signals: it lacks {', '.join(missing)}")
+    columns: dict[str, NDArray[Any]] = {}
+    for signal in SIGNALS:
+        column = table[signal.name].combine_chunks()
+        if signal.width > 1:
+            columns[signal.name] = column.flatten().to_numpy(zero_copy_only=False).reshape(-1, signal.width)
+        elif signal.kind == "mode":
+            columns[signal.name] = np.array(column.to_pylist(), dtype=_typed(signal, np.zeros((0, 1))).dtype)
+        else:
+            columns[signal.name] = column.to_numpy(zero_copy_only=False)
+    return columns

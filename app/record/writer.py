@@ -1,0 +1,227 @@
+"""The only caller of the Rerun SDK: writes one session file, from one thread, in blocks.
+
+Blocks of rows go through `send_columns`, which costs a hundredth of a call per value. The SDK keeps references to the
+arrays it is given: every array handed over here is fresh and never written again.
+"""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from app.record import blueprint, entities, png
+from app.record.signals import AT, SIGNALS
+from hrc import meshes
+from hrc.messages import LINKS, Body, Mode
+from hrc.scene import BodySpec, Scene
+from hrc.vision.camera import Camera
+
+Poses = NDArray[np.float64]
+APPLICATION = "elbowroom"
+
+
+class SessionWriter:
+    """A Rerun recording in a file. Times are ticks of the base rate; `tick_ns` is the length of one."""
+
+    def __init__(self, path: Path, *, tick_ns: int, scene: Scene, camera: Camera, parameters: Mapping[str, Any],
+                 about: Mapping[str, Any]) -> None:
+        self._tick_ns = tick_ns
+        self._colours = {body.name: entities.bytes_of(body.rgb) for body in scene.bodies}
+        self._present: dict[str, bool] = {}
+        self._link = -1
+        # The batcher sees only what is logged singly: a slow tick makes fewer and larger chunks of it.
+        batching = rr.ChunkBatcherConfig(flush_tick=0.25)
+        self._stream = rr.RecordingStream(APPLICATION, batcher_config=batching)
+        self._stream.set_log_time_enabled(False)
+        self._stream.set_sinks(rr.FileSink(os.fspath(path)), default_blueprint=blueprint.review())
+        self._log_session(parameters, about)
+        self._log_scene(scene, camera)
+        self._log_styles()
+
+    def rows(self, rows: NDArray[np.float64]) -> None:
+        """Signals of consecutive control ticks, shape (n, WIDTH), and the contact they hold."""
+        ticks = rows[:, AT["tick"]][:, 0].astype(np.int64)
+        index = self._index(ticks)
+        for signal in SIGNALS:
+            if signal.name not in ("tick", "t", "state"):
+                values = np.ascontiguousarray(rows[:, AT[signal.name]])
+                self._stream.send_columns(f"{entities.SIGNALS}/{signal.name}", index,
+                                          rr.Scalars.columns(scalars=values))
+        self._point(entities.REFERENCE, index, rows[:, AT["ee_desired"]])
+        for name, point, force in (("est", entities.POINT_EST, entities.FORCE_EST),
+                                   ("true", entities.POINT_TRUE, entities.FORCE_TRUE)):
+            points, forces = rows[:, AT[f"contact_point_{name}"]], rows[:, AT[f"force_{name}"]]
+            self._point(point, index, points)
+            self._arrow(force, index, points, forces)
+        self._tint(ticks, rows[:, AT["contact_link_est"]][:, 0].astype(int))
+
+    def poses(self, ticks: Sequence[int], T_world_link: Sequence[Poses], nearest: Sequence[Poses | None],
+              pulls: Sequence[tuple[Poses, Poses] | None]) -> None:
+        """Robot, nearest point and pull at some ticks: T_world_link (8, 4, 4) each, points (3,) [m] or None."""
+        index = self._index(np.array(ticks, np.int64))
+        T = np.array(T_world_link)
+        for link, name in enumerate(LINKS):
+            self._transforms(f"{entities.ROBOT}/{name}", index, T[:, link])
+        self._point(entities.NEAREST, index, np.array([np.full(3, np.nan) if p is None else p for p in nearest]))
+        held = np.array([pull is not None for pull in pulls])
+        strips = [np.array(pull, np.float32) for pull in pulls if pull is not None]
+        self._stream.send_columns(entities.PULL, index,
+                                  rr.LineStrips3D.columns(strips=strips).partition(held.astype(int)))
+
+    def bodies(self, ticks: Sequence[int], bodies: Sequence[tuple[Body, ...]]) -> None:
+        """Obstacles at the same ticks; one that comes or goes is drawn or cleared."""
+        seen: dict[str, list[tuple[int, Body]]] = {}
+        for tick, some in zip(ticks, bodies, strict=True):
+            for body in some:
+                seen.setdefault(body.name, []).append((tick, body))
+        for name, track in seen.items():
+            entity = f"{entities.OBSTACLES}/{name}"
+            self._transforms(entity, self._index(np.array([tick for tick, _ in track], np.int64)),
+                             np.array([body.T_world_body for _, body in track]))
+            for tick, body in track:
+                if self._present.get(name) is not body.present:
+                    self._present[name] = body.present
+                    self._at(tick)
+                    self._stream.log(entity, self._shape(body, shown=body.present))
+
+    def image(self, tick: int, depth: NDArray[np.float32], link: NDArray[np.uint8]) -> int:
+        """A depth image [m] with the link ids seen in it, at its exposure. Returns the bytes of the depth image."""
+        blob = png.encode(png.millimetres(depth))
+        self._at(tick)
+        self._stream.log(entities.DEPTH, rr.EncodedDepthImage.from_fields(blob=blob))
+        self._stream.log(entities.LINK_IDS, rr.SegmentationImage(link))
+        return len(blob)
+
+    def mode(self, tick: int, mode: Mode, reason: str) -> None:
+        """A transition of the reaction."""
+        self._at(tick)
+        self._stream.log(entities.STATE, rr.StateChange(state=mode.value))
+        text = f"-> {mode.value}" + (f": {reason}" if reason else "")
+        self._stream.log(entities.EVENTS, rr.TextLog(text, level="WARN" if mode is Mode.STOP else "INFO"))
+
+    def event(self, tick: int, text: str, *, refused: str = "") -> None:
+        """An event that was applied, or refused with a reason."""
+        self._at(tick)
+        log = rr.TextLog(f"{text} refused: {refused}", level="WARN") if refused else rr.TextLog(text, level="DEBUG")
+        self._stream.log(entities.EVENTS, log)
+
+    def flush(self) -> None:
+        """Block until everything is on the disk. Raises what the SDK raises if that fails."""
+        self._stream.flush(timeout_sec=60.0)
+
+    def close(self) -> None:
+        """Finish the file: its footer makes it open at once."""
+        self._stream.disconnect()
+
+    def _at(self, tick: int) -> None:
+        self._stream.set_time("sim_time", duration=np.timedelta64(tick * self._tick_ns, "ns"))
+        self._stream.set_time("step", sequence=tick)
+
+    def _index(self, ticks: NDArray[np.int64]) -> list[rr.TimeColumn]:
+        # Whole nanoseconds: a TimeColumn truncates durations given as float seconds.
+        return [rr.TimeColumn("sim_time", duration=(ticks * self._tick_ns).astype("timedelta64[ns]")),
+                rr.TimeColumn("step", sequence=ticks.copy())]
+
+    def _point(self, entity: str, index: list[rr.TimeColumn], points: Poses) -> None:
+        there = np.isfinite(points).all(axis=1)  # an empty row clears what was drawn before
+        columns = rr.Points3D.columns(positions=points[there].astype(np.float32))
+        self._stream.send_columns(entity, index, columns.partition(there.astype(int)))
+
+    def _arrow(self, entity: str, index: list[rr.TimeColumn], points: Poses, forces: Poses) -> None:
+        there = np.isfinite(points).all(axis=1) & np.isfinite(forces).all(axis=1)
+        vectors = (forces[there] * entities.METRES_PER_NEWTON).astype(np.float32)
+        origins = points[there].astype(np.float32) - vectors  # the tip touches the robot
+        columns = rr.Arrows3D.columns(origins=origins, vectors=vectors)
+        self._stream.send_columns(entity, index, columns.partition(there.astype(int)))
+
+    def _transforms(self, entity: str, index: list[rr.TimeColumn], T: Poses) -> None:
+        columns = rr.Transform3D.columns(translation=T[:, :3, 3].astype(np.float32),
+                                         mat3x3=T[:, :3, :3].astype(np.float32))
+        self._stream.send_columns(entity, index, columns)
+
+    def _tint(self, ticks: NDArray[np.int64], links: NDArray[np.int64]) -> None:
+        for tick, link in zip(ticks.tolist(), links.tolist(), strict=True):
+            if link == self._link:
+                continue
+            self._at(tick)
+            for touched, colour in ((self._link, None), (link, entities.TOUCHED)):
+                if touched >= 0:
+                    self._colour_link(touched, colour)
+            self._link = link
+
+    def _colour_link(self, link: int, colour: tuple[int, ...] | None = None) -> None:
+        rgb = colour or entities.bytes_of(meshes.COLOURS[link])
+        self._stream.log(f"{entities.ROBOT}/{LINKS[link]}", rr.Mesh3D.from_fields(albedo_factor=[*rgb, 255]))
+
+    def _shape(self, body: Body | BodySpec, *, shown: bool) -> rr.Boxes3D | rr.Ellipsoids3D:
+        colour = [self._colours.get(body.name, (224, 172, 140))]
+        if body.shape == "sphere":
+            half = [(body.size[0],) * 3] if shown else []
+            return rr.Ellipsoids3D(half_sizes=half, colors=colour, fill_mode="solid")
+        return rr.Boxes3D(half_sizes=[body.size] if shown else [], colors=colour, fill_mode="solid")
+
+    def _log_session(self, parameters: Mapping[str, Any], about: Mapping[str, Any]) -> None:
+        self._stream.send_recording_name(" ".join(str(about[key]) for key in ("scenario", "seed") if key in about))
+        values = {key: value if isinstance(value, (bool, int, float, str)) else json.dumps(value)
+                  for key, value in {**about, **parameters}.items()}
+        self._stream.send_property("session", rr.AnyValues(drop_untyped_nones=True, **values))
+        lines = [f"| `{key}` | {value} |" for key, value in parameters.items()]
+        text = "\n".join(["| parameter | at the start |", "|---|---|", *lines])
+        self._log_static(entities.PARAMETERS, rr.TextDocument(text, media_type="text/markdown"))
+
+    def _log_scene(self, scene: Scene, camera: Camera) -> None:
+        self._log_static(entities.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        for box in scene.environment:
+            shape = rr.Boxes3D(centers=[box.centre], half_sizes=[box.half], colors=[entities.bytes_of(box.rgb)],
+                               fill_mode="solid")
+            self._log_static(f"{entities.ENVIRONMENT}/{box.name}", shape)
+        self._at(0)
+        for link, (name, mesh) in enumerate(zip(LINKS, meshes.robot("perception"), strict=True)):
+            shape = rr.Mesh3D(vertex_positions=mesh.vertices, triangle_indices=mesh.faces, vertex_normals=mesh.normals)
+            self._log_static(f"{entities.ROBOT}/{name}", shape)
+            self._colour_link(link)  # not static: static data would hide the red of a touched link
+        for body in scene.bodies:
+            self._present[body.name] = False
+            self._stream.log(f"{entities.OBSTACLES}/{body.name}", self._shape(body, shown=False))
+        c = camera.config
+        self._log_static(entities.CAMERA, rr.Transform3D(translation=camera.T_world_camera[:3, 3],
+                                                         mat3x3=camera.T_world_camera[:3, :3]))
+        K = [[c.fx, 0.0, c.cx], [0.0, c.fy, c.cy], [0.0, 0.0, 1.0]]
+        self._log_static(entities.CAMERA, rr.Pinhole(
+            image_from_camera=K, resolution=[c.width, c.height], camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=0.25))
+        self._log_static(entities.CAMERA, rr.AnnotationContext(list(entities.LINK_CLASSES)))
+        self._log_static(entities.DEPTH, rr.EncodedDepthImage.from_fields(
+            media_type="image/png", meter=1000.0, colormap="viridis", depth_range=[500.0, 4500.0],
+            point_fill_ratio=0.5))
+
+    def _log_styles(self) -> None:
+        for entity, colour, radius in (
+                (entities.POINT_EST, entities.ESTIMATE, 0.016), (entities.POINT_TRUE, entities.TRUTH, 0.012),
+                (entities.NEAREST, entities.SIGHT, 0.010), (entities.REFERENCE, (255, 255, 255), 0.008)):
+            self._log_static(entity, rr.Points3D.from_fields(colors=[colour], radii=[radius]))
+        for entity, colour in ((entities.FORCE_EST, entities.ESTIMATE), (entities.FORCE_TRUE, entities.TRUTH)):
+            self._log_static(entity, rr.Arrows3D.from_fields(colors=[colour], radii=[0.008]))
+        self._log_static(entities.PULL, rr.LineStrips3D.from_fields(colors=[(255, 220, 80)], radii=[0.004]))
+        for signal in SIGNALS:
+            if signal.name not in ("tick", "t", "state"):
+                self._log_static(f"{entities.SIGNALS}/{signal.name}", _series(signal.name, signal.width))
+        self._log_static(entities.STATE, rr.StateConfiguration(
+            values=[mode.value for mode in entities.MODES], labels=[mode.value for mode in entities.MODES],
+            colors=[(*colour, 255) for colour in entities.MODES.values()]))
+
+    def _log_static(self, entity: str, archetype: Any) -> None:
+        self._stream.log(entity, archetype, static=True)
+
+
+def _series(name: str, width: int) -> rr.SeriesLines:
+    palette = {7: entities.JOINTS, 3: entities.AXES, 1: (entities.SIGHT,)}[width]
+    axes = {7: [f" {joint}" for joint in range(1, 8)], 3: [" x", " y", " z"], 1: [""]}[width]
+    secondary = name.endswith(("_true", "_desired", "_command"))
+    colours = [entities.dimmed(colour) if secondary else colour for colour in palette]
+    return rr.SeriesLines(names=[name + axis for axis in axes], colors=colours, widths=[1.2] * width)

@@ -1,0 +1,86 @@
+"""The page under test: one server with one cell for the whole session, and clients that come and go."""
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from vclient import VClient, until
+
+from app.serve.main import Page
+
+CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "chrome")
+CHROMIUM_FLAGS = [
+    "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-renderer-backgrounding",
+    "--disable-backgrounding-occluded-windows"]
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "browser: needs a Chromium; skipped without one, except where CI=true")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Any:
+    report = yield
+    setattr(item, f"report_{report.when}", report)
+    return report
+
+
+@pytest.fixture(scope="session")
+def served() -> Iterator[Page]:
+    page = Page("free", port=0, say=lambda _: None)
+    page.start()
+    yield page
+    page.close()
+
+
+@pytest.fixture
+def raw(served: Page) -> Iterator[VClient]:
+    """A client of the freshly reset page, with the arm on its path."""
+    client = VClient(served.server.get_port())
+    assert client.ready.wait(10.0)
+    until(lambda: client.banner()["mode"] not in ("starting", "failed"), 120.0)
+    served.session.paused = False
+    client.click("Resume") if client.banner()["mode"] == "stop" else None
+    client.set("Simulation", "Reset")
+    until(lambda: float(client.banner()["time"]) < 5.0)
+    until(lambda: client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.3)
+    yield client
+    client.close()
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Any]:
+    executable = next((path for name in CHROMIUM if (path := shutil.which(name))), None)
+    if executable is None:
+        message = "no Chromium on this machine: the browser tests need one (Debian: apt install chromium)"
+        pytest.fail(message) if os.environ.get("CI") == "true" else pytest.skip(message)
+    from playwright.sync_api import expect, sync_playwright
+
+    expect.set_options(timeout=30_000)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=executable, headless=True, args=CHROMIUM_FLAGS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def tab(chromium: Any, served: Page, raw: VClient, request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Any]:  # noqa: ARG001
+    """A browser tab with the page loaded and the robot drawn; small and coarse, because a CPU renders it."""
+    context = chromium.new_context(viewport={"width": 1000, "height": 620})
+    context.set_default_timeout(30_000)
+    tab, console = context.new_page(), []
+    tab.on("console", lambda message: console.append(f"{message.type}: {message.text}"))
+    tab.on("pageerror", lambda error: console.append(f"pageerror: {error}"))
+    tab.goto(f"{served.url}?fixedDpr=0.25", wait_until="commit")
+    tab.wait_for_selector("#eb-banner")
+    tab.wait_for_function("() => window.__viserMutable?.nodeRefFromName?.['/robot/link_7']")
+    yield tab
+    if request.node.report_call.failed:
+        tab.screenshot(path=str(tmp_path / "page.png"))
+        (tmp_path / "console.txt").write_text("\n".join(console))
+        print(f"screenshot and console: {tmp_path}")
+    context.close()

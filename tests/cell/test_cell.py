@@ -1,0 +1,179 @@
+"""One cell, one clock: the same seed and events give the same bits, and nothing stops it but a stop."""
+
+import hashlib
+
+import numpy as np
+import pytest
+
+from hrc.cell.cell import Cell
+from hrc.cell.pace import FreeRun, RealTime
+from hrc.cell.run import Inbox, run
+from hrc.cell.scenario import load
+from hrc.config import PRESETS, Config
+from hrc.errors import ConfigError, DeviceError, HrcError, SensorError
+from hrc.events import MoveObstacle, Pull, Release, Reset, Resume, SetParameter, Stop
+from hrc.messages import Mode, Snapshot
+
+
+class Hash:
+    """Everything a run measured, estimated and commanded, as one number."""
+
+    def __init__(self) -> None:
+        self._sha = hashlib.sha256()
+
+    def on_step(self, s: Snapshot) -> None:
+        parts = [s.state.q, s.state.tau, s.command.dq, s.residual, s.truth.F_world]
+        if s.nearest is not None:
+            parts += [s.nearest.p_world, np.array([s.nearest.distance])]
+        if s.fresh_frame and s.frame is not None:
+            parts.append(s.frame.depth)
+        for part in parts:
+            array = np.ascontiguousarray(part)
+            if s.frame is None or array is not s.frame.depth:
+                assert np.isfinite(array).all()
+            self._sha.update(array.tobytes())
+        self._sha.update(s.command.mode.encode())
+
+    @property
+    def value(self) -> str:
+        return self._sha.hexdigest()
+
+
+EVENTS = {
+    300: [MoveObstacle("ball", (-0.35, 0.4, 0.6))],
+    500: [MoveObstacle("ball", (-0.35, -0.1, 0.6))],
+    900: [SetParameter("control.f_abort", 20.0)],
+    1000: [Pull(3, (0.0, -0.08, -0.07), (-0.2, 0.2, 0.6))],
+    1400: [Release()],
+}
+
+
+class Timed(Inbox):
+    def take(self, tick: int):
+        return [*EVENTS.get(tick, ()), *super().take(tick)]
+
+
+def hashed(config: Config, pacer, *, until: int = 1500, extra=()) -> str:
+    digest = Hash()
+    run(Cell(config), pacer, Timed(), [digest, *extra], until=until)
+    return digest.value
+
+
+def test_same_seed_same_bits_headless_or_live_observed_or_not():
+    first = hashed(Config(), FreeRun(50))
+    assert hashed(Config(), FreeRun(7), extra=[Hash()]) == first
+    assert hashed(Config(), RealTime(1000, speed=4.0)) == first
+    assert hashed(Config(seed=1), FreeRun(50)) != first
+
+
+def test_a_reset_is_a_fresh_start():
+    cell, digests = Cell(), []
+    for _ in range(2):
+        digest = Hash()
+        run(cell, FreeRun(), Inbox(load("push")), [digest], until=1200)
+        digests.append(digest.value)
+        cell.apply(Reset())
+        assert cell.tick == 0
+    assert digests[0] == digests[1]
+
+
+def test_an_event_that_cannot_be_is_refused_and_changes_nothing():
+    cell, inbox = Cell(), Inbox()
+    before = cell.config
+    refused = []
+
+    class Watch:
+        def on_step(self, s: Snapshot) -> None:
+            refused.extend(reason for _, reason in s.refused)
+
+    for event in (SetParameter("control.f_abort", -1.0), SetParameter("control.f_abrt", 1.0), SetParameter("seed", 3),
+                  MoveObstacle("balloon", (0.0, 0.0, 1.0))):
+        inbox.put(event)
+    run(cell, FreeRun(), inbox, [Watch()], until=5)
+    assert cell.config == before
+    assert len(refused) == 4
+    assert "from 1 to 150 N" in refused[0]
+    assert "did you mean control.f_abort" in refused[1]
+    assert "cannot change while the cell runs" in refused[2]
+    assert 'unknown obstacle "balloon"; did you mean ball' in refused[3]
+
+
+def test_a_live_parameter_reaches_the_part_that_uses_it():
+    cell = Cell()
+    cell.apply(SetParameter("control.f_abort", 33.0))
+    cell.apply(SetParameter("push.stiffness", 400.0))
+    assert cell.config.control.f_abort == 33.0
+    assert cell.log[-1][1] == SetParameter("push.stiffness", 400.0)
+    point = (0.0, 0.0, -0.07)
+    cell.step()
+    here = cell._robot.point(3, np.array(point))
+    cell.apply(Pull(3, point, (float(here[0]), float(here[1]) + 0.02, float(here[2]))))
+    for _ in range(5):
+        snapshot = cell.step()
+    assert np.linalg.norm(snapshot.truth.F_world) == pytest.approx(8.0, rel=0.15)
+
+
+def test_nan_from_the_robot_stops_it_and_keeps_the_last_second(monkeypatch):
+    cell = Cell()
+    for _ in range(1200):
+        cell.step()
+    real = cell._robot._sensor.read
+    monkeypatch.setattr(cell._robot._sensor, "read", lambda tau, dq: np.full(7, np.nan))
+    for _ in range(20):
+        snapshot = cell.step()
+    assert snapshot.command.mode is Mode.STOP
+    assert "not finite" in snapshot.command.reason
+    assert "tau" in snapshot.command.reason
+    assert np.isfinite(snapshot.residual).all()
+    assert len(cell.history) == 200
+    monkeypatch.setattr(cell._robot._sensor, "read", real)
+    cell.apply(Resume())
+    for _ in range(200):
+        snapshot = cell.step()
+    assert snapshot.command.mode is not Mode.STOP
+
+
+def test_nan_from_the_camera_stops_it(monkeypatch):
+    cell = Cell()
+    for _ in range(300):
+        cell.step()
+
+    def broken(tick: int):
+        raise SensorError("the depth image holds NaN; an invalid pixel is +inf")
+
+    monkeypatch.setattr(cell._camera, "latest", broken)
+    for _ in range(20):
+        snapshot = cell.step()
+    assert snapshot.command.mode is Mode.STOP
+    assert snapshot.command.reason.startswith("camera: the depth image holds NaN")
+
+
+def test_stop_and_resume_are_events():
+    cell = Cell()
+    for _ in range(500):
+        cell.step()
+    cell.apply(Stop("by hand"))
+    for _ in range(500):
+        snapshot = cell.step()
+    assert snapshot.command.mode is Mode.STOP
+    np.testing.assert_allclose(snapshot.state.dq, 0.0, atol=0.01)
+    cell.apply(Resume())
+    for _ in range(20):
+        snapshot = cell.step()
+    assert snapshot.command.mode is Mode.IDLE
+
+
+def test_presets_are_built_and_differ():
+    trees = {name: make() for name, make in PRESETS.items()}
+    assert trees["paper"].control.k_f == 0.05
+    assert trees["paper"].vision.mode == "paper"
+    assert trees["literal"].control.law == "printed"
+    assert trees["ideal"].plant.torque_noise == 0.0
+    assert len(set(map(repr, trees.values()))) == len(trees)
+
+
+def test_an_unknown_device_is_one_clear_error():
+    with pytest.raises(DeviceError, match="cpu"):
+        Cell(device="cuda:7")
+    assert issubclass(DeviceError, HrcError)
+    assert issubclass(ConfigError, HrcError)

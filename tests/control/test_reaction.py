@@ -1,0 +1,175 @@
+"""The state machine on a robot that moves exactly as commanded: what follows what, and what never happens."""
+
+import numpy as np
+import pytest
+
+from hrc.control.reaction import Reaction, ReactionConfig
+from hrc.control.reference import Hexagon, PathFollower, TaskConfig
+from hrc.geometry import apply
+from hrc.messages import Command, Contact, Mode
+from hrc.model import Dynamics, joint_limits, load_spec, pinocchio_model
+
+DT = 0.005
+COMPILED = load_spec().compile()
+DYNAMICS = Dynamics(pinocchio_model(COMPILED, armature=False))
+LIMITS = joint_limits(COMPILED)
+ELBOW = (3, np.array([0.0, -0.08, -0.07]))
+WRIST = (6, np.array([0.0, -0.07, 0.0]))
+
+
+class Arm:
+    """Kinematics only: q follows the command, contacts are given."""
+
+    def __init__(self, config: ReactionConfig | None = None) -> None:
+        task = TaskConfig()
+        path = PathFollower(Hexagon(task), task.speed)
+        q_d = DYNAMICS.solve_position(np.array(task.centre), np.deg2rad(task.posture_deg))
+        self.q = DYNAMICS.solve_position(path.x_d, q_d)
+        self.reaction = Reaction(config or ReactionConfig(), path, q_d, (LIMITS.q_min, LIMITS.q_max, LIMITS.dq_max), DT)
+        self.dq = np.zeros(7)
+        self.jump = 0.0
+
+    def step(self, force=None, at=ELBOW, residual=None, detected: bool | None = None) -> Command:
+        terms = DYNAMICS.terms(self.q, self.dq)
+        contact = None
+        if force is not None:
+            link, p_link = at
+            p = apply(terms.T_world_link[link], p_link)
+            J_c = terms.J_contact(link, p)
+            contact = Contact(link, p, p_link, J_c, np.asarray(force, float), 0.1, np.zeros(3))
+        felt = contact is not None if detected is None else detected
+        command = self.reaction.update(self.q, terms, np.zeros(7) if residual is None else residual, felt, contact)
+        self.jump = max(self.jump, float(np.abs(command.dq - self.dq).max()))
+        self.dq = command.dq
+        self.q = self.q + DT * command.dq
+        return command
+
+    def run(self, seconds: float, **kw) -> list[Command]:
+        return [self.step(**kw) for _ in range(round(seconds / DT))]
+
+    def point(self, at) -> np.ndarray:
+        return apply(DYNAMICS.kinematics(self.q)[0][at[0]], at[1])
+
+
+def errors(commands) -> np.ndarray:
+    return np.array([np.linalg.norm(c.x_d - c.x) for c in commands])
+
+
+def test_without_contact_it_keeps_to_the_path():
+    commands = Arm().run(6.0)
+    assert {c.mode for c in commands} == {Mode.IDLE}
+    assert errors(commands)[200:].max() < 5e-4
+
+
+def test_a_push_on_the_elbow_relaxes_it_and_the_task_goes_on():
+    arm = Arm()
+    arm.run(1.0)
+    before = arm.point(ELBOW)
+    commands = arm.run(2.0, force=[0.0, 15.0, 0.0])
+    assert {c.mode for c in commands} == {Mode.RELAX}
+    assert (arm.point(ELBOW) - before)[1] > 0.03
+    assert errors(commands).max() < 1e-3
+    after = arm.run(3.0)
+    assert after[-1].mode is Mode.IDLE
+    assert errors(after).max() < 1e-3
+
+
+def test_while_relaxing_the_elbow_never_moves_into_the_push():
+    arm = Arm()
+    arm.run(1.0)
+    force = np.array([0.0, 15.0, 0.0])
+    for k in range(400):
+        before = arm.point(ELBOW)
+        arm.step(force=force)
+        if k > 10:  # the acceleration limit needs a moment to turn the elbow round
+            assert force @ (arm.point(ELBOW) - before) / DT > -0.1  # [W]; zero but for the curvature within a step
+
+
+def test_a_hard_push_aborts_and_ends_where_it_began():
+    arm = Arm()
+    arm.run(1.0)
+    assert arm.step(force=[0.0, 40.0, 0.0], at=WRIST).mode is Mode.ABORT
+    x_cd = arm.point(WRIST)
+    pushed = arm.run(1.5, force=[0.0, 10.0, 0.0], at=WRIST)
+    assert {c.mode for c in pushed} == {Mode.ABORT}, "latched, although the force is below F_abort again"
+    assert np.linalg.norm(pushed[-1].admittance_error) == pytest.approx(10.0 / 350.0, rel=0.1)
+    released = arm.run(3.0)
+    modes = [c.mode for c in released]
+    done = modes.index(Mode.IDLE)
+    assert all(m is Mode.IDLE for m in modes[done:])
+    assert np.linalg.norm(released[done - 1].admittance_error) < 0.0055
+    assert np.linalg.norm(x_cd) > 0
+    assert errors(arm.run(1.0)).max() < 1e-3
+
+
+def test_the_path_waits_while_the_task_is_abandoned():
+    arm = Arm()
+    arm.run(1.0)
+    arm.step(force=[0.0, 40.0, 0.0], at=WRIST)
+    s = arm.reaction.path.s
+    arm.run(1.0, force=[0.0, 40.0, 0.0], at=WRIST)
+    assert arm.reaction.path.s == s
+
+
+def test_the_latch_moves_with_the_contact_to_another_link():
+    arm = Arm()
+    arm.run(0.5)
+    arm.step(force=[0.0, 40.0, 0.0], at=WRIST)
+    at_beginning = arm.point(ELBOW)
+    arm.run(0.5, force=[0.0, 20.0, 0.0], at=ELBOW)
+    moved = arm.reaction._latch
+    assert moved is not None
+    assert moved.link == ELBOW[0]
+    assert np.linalg.norm(moved.x_cd - at_beginning) < 0.01
+
+
+def test_no_transition_exceeds_the_acceleration_limit():
+    rng = np.random.default_rng(5)
+    arm = Arm()
+    for _ in range(60):
+        force = None if rng.random() < 0.4 else rng.uniform(-45, 45, 3)
+        at = ELBOW if rng.random() < 0.5 else WRIST
+        arm.run(float(rng.uniform(0.02, 0.3)), force=force, at=at)
+    assert arm.jump <= 25.0 * DT + 1e-9
+
+
+def test_a_contact_nobody_sees_freezes_the_path_and_yields_in_the_joints():
+    arm = Arm()
+    arm.run(1.0)
+    r = np.array([0.0, 4.0, 0.0, -2.0, 0.0, 0.0, 0.0])
+    arm.run(0.3, residual=r, detected=True)
+    s = arm.reaction.path.s
+    command = arm.run(0.5, residual=r, detected=True)[-1]
+    assert command.mode is Mode.UNSEEN
+    np.testing.assert_allclose(command.dq, 0.02 * r, atol=1e-9)
+    assert arm.reaction.path.s == s
+    assert arm.run(3.0)[-1].mode is Mode.IDLE
+
+
+def test_stop_sticks_until_resumed():
+    arm = Arm()
+    arm.run(1.0)
+    arm.reaction.stop("enough")
+    stopped = arm.run(1.0)
+    assert stopped[-1].mode is Mode.STOP
+    assert stopped[-1].reason == "enough"
+    np.testing.assert_array_equal(stopped[-1].dq, 0.0)
+    assert {c.mode for c in arm.run(0.5, force=[0.0, 60.0, 0.0])} == {Mode.STOP}
+    arm.reaction.resume()
+    resumed = arm.run(2.0)
+    assert resumed[-1].mode is Mode.IDLE
+    assert errors(resumed).max() < 0.01
+    assert arm.jump <= 25.0 * DT + 1e-9
+
+
+def test_the_printed_law_has_no_memory():
+    arm = Arm(ReactionConfig(law="printed"))
+    modes = [arm.step(force=[0.0, f, 0.0], at=WRIST).mode for f in (3.0, 10.0, 40.0, 10.0, 3.0)]
+    assert modes == [Mode.IDLE, Mode.RELAX, Mode.ABORT, Mode.RELAX, Mode.IDLE]
+
+
+def test_the_end_effector_is_kept_off_the_table_while_the_task_is_abandoned():
+    arm = Arm()
+    arm.run(1.0)
+    heights = [c.x[2] for c in arm.run(6.0, force=[-40.0, 0.0, -40.0])]
+    assert min(heights) > 0.0

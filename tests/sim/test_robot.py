@@ -1,0 +1,181 @@
+"""The plant: it follows, its sensors tell the truth to within their errors, and nothing in it pushes too hard."""
+
+import numpy as np
+import pytest
+
+from hrc.contact.residual import MomentumObserver, ObserverConfig
+from hrc.errors import EventError
+from hrc.events import MoveObstacle, Press, Pull, Push, Release, RemoveObstacle
+from hrc.geometry import apply
+from hrc.model import Dynamics, pinocchio_model
+from hrc.scene import load_scene
+from hrc.sim.obstacles import ObstacleConfig
+from hrc.sim.push import PushConfig
+from hrc.sim.robot import PlantConfig, SimulatedRobot
+from hrc.sim.sensor import friction
+
+IDEAL = PlantConfig(torque_noise=0.0, friction_left=0.0)
+Q = np.deg2rad([0.0, 27.0, 0.0, -83.0, 0.0, 69.0, 0.0])
+
+
+def robot(plant: PlantConfig = IDEAL, seed: int = 0) -> SimulatedRobot:
+    made = SimulatedRobot(load_scene(), plant, PushConfig(), ObstacleConfig(), base_hz=1000, control_hz=200,
+                          rng=np.random.default_rng(seed))
+    made.place(Q)
+    return made
+
+
+def near(p: np.ndarray, dx: float, dy: float, dz: float) -> tuple[float, float, float]:
+    return (p[0] + dx, p[1] + dy, p[2] + dz)
+
+
+def swing(t: float) -> np.ndarray:
+    return 0.2 * np.sin(2.0 * t + np.arange(7))
+
+
+def test_it_follows_a_velocity_command():
+    plant, q, errors = robot(), Q.copy(), []
+    for k in range(600):
+        dq = swing(k * 0.005)
+        for _ in range(5):
+            state = plant.step(dq)
+            q += dq * 0.001
+        errors.append(np.abs(state.q - q).max())
+    assert max(errors) < 0.01
+
+
+def test_motion_without_contact_leaves_no_residual():
+    """The sensors are on the link side: motor inertia is in the servo's model and not in the observer's."""
+    plant = robot()
+    dynamics = Dynamics(pinocchio_model(plant.model, armature=False))
+    observer, worst = MomentumObserver(ObserverConfig()), 0.0
+    assert plant.model.dof_armature[:7].min() > 0.05
+    for k in range(800):
+        dq, tau = swing(k * 0.005), np.zeros(7)
+        for _ in range(5):
+            state = plant.step(dq)
+            tau += state.tau / 5
+        terms = dynamics.terms(state.q, state.dq)
+        r = observer.update(terms.p, terms.Ct_dq, terms.g, tau, 0.005)
+        if k > 100:
+            worst = max(worst, float(np.abs(r).max()))
+    assert worst < 0.05
+
+
+def test_the_residual_is_the_torque_of_a_known_push():
+    """Eq. (3): r tends to J_c^T F_c."""
+    plant = robot()
+    dynamics = Dynamics(pinocchio_model(plant.model, armature=False))
+    observer = MomentumObserver(ObserverConfig())
+    point, force = (0.0, 0.06, -0.1), (0.0, -15.0, 5.0)
+    plant.apply(Push(4, point, force))
+    for _ in range(200):
+        tau = np.zeros(7)
+        for _ in range(5):
+            state = plant.step(np.zeros(7))
+            tau += state.tau / 5
+        terms = dynamics.terms(state.q, state.dq)
+        r = observer.update(terms.p, terms.Ct_dq, terms.g, tau, 0.005)
+    p = apply(terms.T_world_link[4], point)
+    np.testing.assert_allclose(r, terms.J_contact(4, p).T @ np.array(force), atol=0.05)
+    truth = plant.truth()
+    np.testing.assert_allclose(truth.F_world, force)
+    assert truth.link == 4
+
+
+def test_the_realistic_sensor_is_off_by_noise_and_what_friction_is_left():
+    readings = {}
+    for left, noise in ((0.0, 0.0), (0.2, 0.0), (0.0, 0.003)):
+        plant = robot(PlantConfig(torque_noise=noise, friction_left=left))
+        readings[left, noise] = np.array([plant.step(np.zeros(7)).tau for _ in range(400)])
+    offset = (readings[0.2, 0.0] - readings[0.0, 0.0]).mean(axis=0)
+    np.testing.assert_allclose(offset, 0.2 * friction(np.zeros(7)), atol=0.02)
+    sigma = (readings[0.0, 0.003] - readings[0.0, 0.0]).std(axis=0)
+    np.testing.assert_allclose(sigma, 0.003 * robot().limits.tau_max, rtol=0.2)
+
+
+def test_a_pull_is_a_capped_spring_and_its_hand_can_be_seen():
+    plant = robot()
+    point = (0.0, 0.0, -0.07)
+    here = plant.point(3, np.array(point))
+    plant.apply(Pull(3, point, near(here, 0.0, 0.02, 0.0)))
+    plant.step(np.zeros(7))
+    np.testing.assert_allclose(plant.truth().F_world, [0.0, 5.0, 0.0], atol=0.3)
+    hand = plant.bodies()[-1]
+    assert hand.present
+    assert hand.virtual
+    assert np.linalg.norm(hand.T_world_body[:3, 3] - here) < 0.15
+    plant.apply(Pull(3, point, near(here, 0.0, 2.0, 0.0)))
+    plant.step(np.zeros(7))
+    assert np.linalg.norm(plant.truth().F_world) == pytest.approx(80.0)
+    plant.apply(Release())
+    plant.step(np.zeros(7))
+    assert not plant.bodies()[-1].present
+    assert np.all(plant.truth().F_world == 0.0)
+
+
+def test_an_obstacle_yanked_through_the_arm_stays_below_its_cap_and_outside():
+    plant = robot()
+    wrist = plant.point(6, np.zeros(3))
+    plant.apply(MoveObstacle("ball", near(wrist, 0.0, 0.35, 0.0)))
+    plant.apply(MoveObstacle("ball", near(wrist, 0.0, -0.5, 0.0)))
+    forces = []
+    for _ in range(2500):
+        plant.step(np.zeros(7))
+        forces.append(np.linalg.norm(plant.truth().F_world))
+    assert max(forces) > 40.0
+    assert np.median(forces[-500:]) < ObstacleConfig().cap * 1.1
+    ball = next(b for b in plant.bodies() if b.name == "ball")
+    assert ball.T_world_body[1, 3] > plant.point(6, np.zeros(3))[1]
+
+
+def test_a_contact_at_80_n_sinks_in_by_less_than_5_mm():
+    plant = robot()
+    wrist = plant.point(6, np.zeros(3))
+    plant.apply(MoveObstacle("ball", near(wrist, 0.0, -0.3, 0.0)))
+    plant.apply(MoveObstacle("ball", near(wrist, 0.0, 0.5, 0.0)))
+    deepest, force = 0.0, 0.0
+    for _ in range(1500):
+        plant.step(np.zeros(7))
+        F = float(np.linalg.norm(plant.truth().F_world))
+        if 60.0 < F < 85.0:
+            deepest = max(deepest, *(-c.dist for c in plant._data.contact))
+            force = max(force, F)
+    assert force > 75.0
+    assert deepest < 0.005
+
+
+def test_no_obstacle_appears_inside_the_robot():
+    plant = robot()
+    with pytest.raises(EventError, match="no room"):
+        plant.apply(MoveObstacle("ball", tuple(plant.point(5, np.array([0.0, 0.0, -0.1])))))
+    assert not any(b.present for b in plant.bodies())
+    with pytest.raises(EventError, match="did you mean ball"):
+        plant.apply(RemoveObstacle("bal"))
+
+
+def test_a_pressing_obstacle_comes_presses_and_goes():
+    plant = robot()
+    plant.apply(Press("hand", 3, (0.0, 0.0, -0.07), (0.0, 1.0, 0.0), speed=0.12, depth=0.08, hold=0.5, stiffness=200.0))
+    touched = []
+    for k in range(4000):
+        plant.step(np.zeros(7))
+        if np.linalg.norm(plant.truth().F_world) > 1.0:
+            touched.append(k)
+    assert 500 <= touched[0] <= 800
+    assert touched[-1] < 2500
+    assert not plant.bodies()[0].present
+
+
+def test_the_blocked_arm_does_not_whip_when_freed():
+    """A leash on the servo's reference: what cannot be followed is not stored."""
+    plant = robot()
+    plant.apply(Push(6, (0.0, 0.06, 0.0), (0.0, 60.0, 0.0)))
+    fastest = 0.0
+    for k in range(1500):
+        if k == 1000:
+            plant.apply(Release())
+        state = plant.step(np.array([0.5, 0, 0, 0, 0, 0, 0.0]))
+        if k > 1000:
+            fastest = max(fastest, float(np.abs(state.dq).max()))
+    assert fastest < 2.0
