@@ -11,7 +11,7 @@ import numpy as np
 
 from hrc import meshes
 from hrc.config import Config
-from hrc.geometry import transform
+from hrc.geometry import Array, transform
 from hrc.messages import Body, DepthFrame, RobotImage
 from hrc.model import Dynamics, load_spec, pinocchio_model
 from hrc.scene import load_scene
@@ -21,7 +21,6 @@ from hrc.vision.camera import Camera
 from hrc.vision.localize import Localizer
 from hrc.vision.render import Renderer, environment_depth
 
-Array = Any
 ROUNDS = 12
 """How often the frames are run through; the first round only warms up."""
 
@@ -131,7 +130,7 @@ def _measure(localizer: Localizer, scene: Scene, device: str) -> tuple[Array, Ar
     return filtering, localizing, error
 
 
-def _brute_force(localizer: Localizer, robot: RobotImage) -> Array:
+def _brute_force(localizer: Localizer, robot: RobotImage) -> reference.Image:
     config = localizer.config
     assert localizer.foreground is not None
     candidates = np.where((robot.link >= config.first_link) & (robot.link < kernels.NO_LINK), robot.depth, np.inf)
@@ -147,7 +146,7 @@ def _alternatives(localizer: Localizer, scene: Scene, cycle: float) -> list[Row]
     expanded.expand(config.margin)
     surface = Renderer(camera, meshes.robot("perception"))
 
-    def filtered(frame: DepthFrame, cover: RobotImage) -> Array:
+    def filtered(frame: DepthFrame, cover: RobotImage) -> reference.Image:
         kept = reference.filtered(frame.depth, cover.depth, fixed)
         return reference.supported(frame.depth, kept, config.neighbours)
 
@@ -157,17 +156,17 @@ def _alternatives(localizer: Localizer, scene: Scene, cycle: float) -> list[Row]
         reference.contact_point(camera, depth, robot.link, distances)
 
     def tree(frame: DepthFrame, cover: RobotImage, robot: RobotImage) -> None:
-        from scipy.spatial import cKDTree
+        from scipy.spatial import KDTree
 
         kept = filtered(frame, cover)
         (v, u), (ov, ou) = np.nonzero(np.isfinite(robot.depth)), np.nonzero(np.isfinite(kept))
         if len(ou):
-            obstacle = cKDTree(camera.unproject(ou, ov, kept[ov, ou]))
+            obstacle = KDTree(camera.unproject(ou, ov, kept[ov, ou]))
             distance, _ = obstacle.query(camera.unproject(u, v, robot.depth[v, u]), distance_upper_bound=config.reach)
             int(np.argmin(distance))
 
     ways: list[tuple[str, Callable[..., None], str]] = [
-        ("numpy, brute force", plain, "the same rules"), ("numpy and scipy cKDTree", tree, "no occlusion rule")]
+        ("numpy, brute force", plain, "the same rules"), ("numpy and a k-d tree of scipy", tree, "no occlusion rule")]
     rows = []
     for name, way, remark in ways:
         times = []

@@ -81,16 +81,17 @@ class RobotImage:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Nearest:
-    """The point of the visible robot surface nearest to an obstacle: what vision sees, contact or not.
+    """The point of a link's visible surface nearest to an obstacle: what vision sees, contact or not.
 
-    stamp: tick of the depth frame used. p_world: that surface point [m], shape (3,).
-    distance: to the obstacle [m]. pixel: (u, v) of the point.
+    stamp: tick of the depth frame used. p_world, p_link: that surface point [m], in the world at `tick` and fixed to the
+    link, shape (3,). distance: of the link to the obstacle [m]. pixel: (u, v) of the point.
     """
 
     tick: int
     stamp: int
     link: int
     p_world: Array
+    p_link: Array
     distance: float
     pixel: tuple[int, int]
 

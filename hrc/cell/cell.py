@@ -63,9 +63,10 @@ class Cell:
         terms = self._terms = self._dynamics.terms(state.q, state.dq)
         self.residual = self._observer.update(terms.p, terms.Ct_dq, terms.g, self._mean_tau(), self._dt)  # (2)
         self.detected = self._detector.update(self.residual)  # (4)
-        self.nearest = self._nearest.get(self.tick)  # (8)-(9)
+        seen = self._nearest.get(self.tick) or ()  # (8)-(9)
+        self.nearest = seen[0] if seen else None
         self.contact = self._tracker.update(  # (5), (10)
-            self.residual, self._detector, self.nearest, terms, keep=self._reaction.mode is Mode.ABORT)
+            self.residual, self._detector, seen, terms, keep=self._reaction.mode is Mode.ABORT)
         self.command = self._reaction.update(state.q, terms, self.residual, self.detected, self.contact)  # (11)-(15)
 
     def _look(self, tick: int) -> bool:
@@ -124,6 +125,7 @@ class Cell:
         self._reaction.path.speed = config.task.speed
         self._robot.grip.config, self._robot.obstacles.config = config.push, config.obstacle
         self._localizer.configure(config.vision)
+        self._camera.configure(config.sensor)
 
     def _take_news(self) -> tuple[tuple[Event, ...], tuple[tuple[Event, str], ...]]:
         events, refused = tuple(self._news), tuple(self._refusals)
@@ -155,7 +157,7 @@ class Cell:
                                    seed=config.seed, device=self.device)
         self._camera_rate = Rate(rates.camera_hz, base)
         self._localize, self._control = Rate(rates.localize_hz, base), Rate(rates.control_hz, base)
-        self._nearest: Delayed[Nearest | None] = Delayed(round(rates.localize_latency_s * base))
+        self._nearest: Delayed[tuple[Nearest, ...]] = Delayed(round(rates.localize_latency_s * base))
         self._poses: dict[int, Array] = {}
 
         limits = self._robot.limits

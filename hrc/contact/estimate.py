@@ -1,13 +1,15 @@
 """From what the residual feels and what vision sees to a contact: where Eq. (4), (5) and (10) meet."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hrc.contact.force import ForceConfig, estimate_force
+from hrc.contact.isolation import misfit
 from hrc.contact.residual import Detector
-from hrc.geometry import apply, inverse
+from hrc.geometry import apply
 from hrc.jacobian import Terms
 from hrc.messages import Contact, Nearest
 from hrc.parameters import Parameters, param
@@ -17,14 +19,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TrackerConfig(Parameters):
-    """When the nearest point that vision sees is taken for the contact that the residual feels."""
+    """When a point that vision sees is taken for the contact that the residual feels."""
 
     reach: float = param(0.08, low=0.0, high=0.5, unit="m")
     """An obstacle farther from the robot than this does not explain a contact."""
+    misfit: float = param(3.0, low=0.0, high=100.0)
+    """How much the residual's say weighs against the distance in choosing the link; 0 takes the nearest point, as printed."""
     hold: float = param(0.2, low=0.0, high=5.0, unit="s")
     """A contact point that vision loses is kept this long."""
     switch: float = param(0.15, low=0.0, high=5.0, unit="s")
-    """The contact moves to another link only when vision has named that link for this long."""
+    """The contact moves to another link only when that link has been the better one for this long."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -36,22 +40,24 @@ class _Point:
 
 
 class ContactTracker:
-    """Keeps the contact's point on its link between localizations, and estimates the force there."""
+    """Chooses the contact's point among those that vision offers, keeps it between frames, and estimates the force there."""
 
     def __init__(self, config: TrackerConfig, force: ForceConfig, dt: float) -> None:
         self.config = config
         self.force = force
         self._dt = dt
         self._point: _Point | None = None
+        self._felt = False
         self._lost = self._other = 0.0
 
-    def update(self, r: Array, detector: Detector, nearest: Nearest | None, terms: Terms, *, keep: bool) -> Contact | None:
+    def update(self, r: Array, detector: Detector, seen: Sequence[Nearest], terms: Terms, *, keep: bool) -> Contact | None:
         """The contact now, or None when nothing is detected or its place is not known.
 
-        r: residual [N m] (7,); detector: what Eq. (4) says of it. nearest: the latest localization. keep: hold on to the
-        point while it is unseen, however long, because the controller still acts at it.
+        r: residual [N m] (7,); detector: what Eq. (4) says of it. seen: the latest localization, a point for each link near
+        an obstacle. keep: hold on to the point while it is unseen, however long, because the controller still acts at it.
         """
-        self._follow(nearest, terms, keep=keep and detector.detected)
+        self._follow(r, detector, seen, terms, keep=keep and detector.detected)
+        self._felt = detector.detected
         if not detector.detected or self._point is None:
             return None
         link, p_link = self._point.link, self._point.p_link
@@ -61,18 +67,34 @@ class ContactTracker:
         gate = float(np.sqrt(F @ F)) / max(detector.margin, 1.0)
         return Contact(link, p_world, p_link, J_c, F, sigma_min, unobservable, gate)
 
-    def _follow(self, nearest: Nearest | None, terms: Terms, *, keep: bool) -> None:
-        if nearest is None or nearest.distance > self.config.reach:
+    def _follow(self, r: Array, detector: Detector, seen: Sequence[Nearest], terms: Terms, *, keep: bool) -> None:
+        near = [n for n in seen if n.distance <= self.config.reach]
+        if not near:
             self._lost += self._dt
             self._other = 0.0
             if self._lost > self.config.hold and not keep:
                 self._point = None
             return
         self._lost = 0.0
-        if self._point is not None and nearest.link != self._point.link:
+        best = self._likeliest(near, r, detector, terms) if detector.detected else near[0]
+        if self._felt and self._point is not None and best.link != self._point.link:
+            same = next((n for n in near if n.link == self._point.link), None)
             self._other += self._dt
             if self._other <= self.config.switch:
-                return
-        self._other = 0.0
-        # The localization is a few ticks old, the link has moved on by less than a millimetre or two since.
-        self._point = _Point(nearest.link, apply(inverse(terms.T_world_link[nearest.link]), nearest.p_world))
+                best = same
+        else:
+            self._other = 0.0
+        if best is not None:
+            self._point = _Point(best.link, best.p_link)
+
+    def _likeliest(self, near: Sequence[Nearest], r: Array, detector: Detector, terms: Terms) -> Nearest:
+        """The point that is near and explains the residual: least distance / reach + weight * misfit."""
+        if len(near) == 1 or self.config.misfit == 0.0:
+            return near[0]
+        r_low = np.asarray(detector.config.r_low)
+
+        def cost(n: Nearest) -> float:
+            J_c = terms.J_contact(n.link, apply(terms.T_world_link[n.link], n.p_link))
+            return n.distance / self.config.reach + self.config.misfit * misfit(J_c, r, r_low)
+
+        return min(near, key=cost)

@@ -68,8 +68,8 @@ class ReactionConfig(Parameters):
     """ABORT may end when the force has been below f_release for this long."""
     abort_error: float = param(0.005, low=0.0005, high=0.1, unit="m")
     """ABORT may end when the contact point is this near to where it was."""
-    unseen_after: float = param(0.05, low=0.0, high=1.0, unit="s")
-    """A contact without a point for this long starts the reflex."""
+    unseen_after: float = param(0.12, low=0.0, high=1.0, unit="s")
+    """A contact without a point for this long starts the reflex; a camera that is two frames late needs 0.1 s to show it."""
     unseen_hold: float = param(0.3, low=0.0, high=5.0, unit="s")
     """The reflex ends when no such contact was felt for this long."""
     resume_time: float = param(0.5, low=0.01, high=10.0, unit="s")

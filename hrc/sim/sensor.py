@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# tau_f = k + A / (1 + exp(-alpha (dq + v))): friction and offset that the sensors of an LWR IV+ show (Sapienza's
-# identification; FACTS in docs/robot.md).
+# tau_f = k + A / (1 + exp(-alpha (dq + v))): friction and offset that the sensors of an LWR IV+ show, identified at
+# Sapienza (getLWRTauFriction.m in matteosodano/Residuals_and_RLS).
 A = np.array([1.367179, 0.593299, 0.594340, 0.641189, 0.488523, 0.694147, 0.700856])  # [N m]
 K = np.array([-0.456166, -0.056350, -0.366618, -0.103054, -0.118344, -0.469191, -0.791974])  # [N m]
 V = np.array([-0.015673, 0.024814, -0.046247, -0.011594, 0.000368, 0.037110, 0.054060])  # [rad/s]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from hrc import meshes
 from hrc.errors import SensorError
-from hrc.geometry import Array, apply
+from hrc.geometry import Array, apply, inverse
 from hrc.messages import LINKS, DepthFrame, Nearest, RobotImage, frozen
 from hrc.parameters import Parameters, param
 from hrc.vision import kernels
@@ -56,7 +56,8 @@ class Localizer:
         grid = self._surface.raster.grid
         self._filter = kernels.Filter(grid, self._expanded.raster.keys, self._device)
         self._distance = kernels.Distance(grid, self._surface.raster.keys, self._filter, self._device)
-        self._point = kernels.ContactPoint(self._distance)
+        self._point = kernels.ContactPoints(self._distance)
+        self._grown: float | None = None
         self.configure(config or VisionConfig())
         self.reset()
 
@@ -70,9 +71,11 @@ class Localizer:
     def configure(self, config: VisionConfig) -> None:
         """Take changed parameters from the next call on."""
         self.config = config
+        if self._grown != config.environment_margin:
+            self._grown = config.environment_margin
+            self._filter.mask(environment_depth(self.camera, self._environment, self._grown))
         paper = config.mode == "paper"
         surface = self._expanded if paper else self._surface
-        self._filter.mask(environment_depth(self.camera, self._environment, config.environment_margin))
         self._filter.neighbours = 0 if paper else config.neighbours
         self._expanded.raster.margin = config.margin
         self._distance.keys = surface.raster.keys
@@ -111,19 +114,24 @@ class Localizer:
             self._robot = self._surface.render(self._T_stamp)
         return self._robot
 
-    def localize(self, tick: int, T_world_link: Array) -> Nearest | None:
-        """The nearest point, with the robot at its poses (8, 4, 4) now; None if nothing is within reach or yet seen."""
+    def localize(self, tick: int, T_world_link: Array) -> tuple[Nearest, ...]:
+        """The nearest point of each link that has an obstacle within reach, the nearest first (mode paper: that one alone).
+
+        T_world_link: the robot's poses now (8, 4, 4). Empty while nothing is within reach, or before the first frame.
+        """
         if self._stamp is None:
-            return None
+            return ()
         robot = self._expanded if self.config.mode == "paper" else self._surface
         robot.place(T_world_link)
         self._localizing.replay()
-        found = self._point.result()
-        if found is None:
-            return None
-        u, v, link, depth, distance = found
-        p_world = apply(self.camera.T_world_camera, self.camera.unproject(u, v, depth))  # Eq. (9)
-        return Nearest(tick, self._stamp, link, frozen(p_world, (3,), "p_world"), distance, (u, v))
+        found = self._point.result()[: 1 if self.config.mode == "paper" else None]
+        return tuple(self._nearest(tick, self._stamp, f, T_world_link) for f in found)
+
+    def _nearest(self, tick: int, stamp: int, f: kernels.Found, T_world_link: Array) -> Nearest:
+        p_world = apply(self.camera.T_world_camera, self.camera.unproject(f.u, f.v, f.depth))  # Eq. (9)
+        p_link = apply(inverse(T_world_link[f.link]), p_world)
+        return Nearest(tick, stamp, f.link, frozen(p_world, (3,), "p_world"), frozen(p_link, (3,), "p_link"), f.distance,
+                       (f.u, f.v))
 
     def distances(self) -> Array:
         """The distance map [m] (H, W) of the last `localize`: +inf off the robot's links and beyond reach."""

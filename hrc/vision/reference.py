@@ -12,6 +12,7 @@ from hrc.geometry import Array, apply
 from hrc.vision.camera import Camera
 from hrc.vision.kernels import Surface
 
+Image = NDArray[np.floating]
 NO_LINK = 255
 CUT = 3.0
 """Pixels whose distance exceeds the least by more than this many spreads are no part of the patch."""
@@ -51,13 +52,13 @@ def render(camera: Camera, meshes: Sequence[Surface], T_camera_mesh: Array,
     return depth.reshape(camera.shape), link.reshape(camera.shape)
 
 
-def filtered(real: Array, robot: Array, environment: Array) -> Array:
+def filtered(real: Image, robot: Image, environment: Image) -> Image:
     """d_f: the real depth where it is before the robot's and the environment's, +inf elsewhere (Sec. III-B)."""
     measured = np.where(real > 0, real, np.inf)
     return np.where(measured < np.minimum(robot, environment), measured, np.inf)
 
 
-def supported(real: Array, foreground: Array, neighbours: int, step: float = 0.03) -> Array:
+def supported(real: Image, foreground: Image, neighbours: int, step: float = 0.03) -> Image:
     """The foreground without the pixels that have fewer than `neighbours` of their eight within `step` [m] in `real`."""
     around = np.pad(np.where(real > 0, real, np.inf), 1, constant_values=np.inf)
     rows, columns = real.shape
@@ -69,7 +70,7 @@ def supported(real: Array, foreground: Array, neighbours: int, step: float = 0.0
     return np.where(count >= neighbours, foreground, np.inf)
 
 
-def distance_map(camera: Camera, robot: Array, foreground: Array, reach: float, thickness: float) -> Array:
+def distance_map(camera: Camera, robot: Image, foreground: Image, reach: float, thickness: float) -> Array:
     """Distance [m] (H, W) of each robot pixel to the nearest obstacle pixel, +inf off the robot and beyond `reach`.
 
     An obstacle pixel is the interval of depths [d_f, d_f + thickness]; its point nearest in depth to the robot pixel
@@ -95,7 +96,7 @@ def distance_map(camera: Camera, robot: Array, foreground: Array, reach: float, 
     return distances
 
 
-def contact_point(camera: Camera, robot: Array, link: NDArray[np.uint8], distances: Array, *, centred: bool = True,
+def contact_point(camera: Camera, robot: Image, link: NDArray[np.uint8], distances: Image, *, centred: bool = True,
                   spread: float = 0.01, patch: float = 0.1) -> tuple[int, int, int, float, float] | None:
     """Pixel u, v, link, depth [m] of the point that stands for the contact, and the least distance [m]; None if none.
 

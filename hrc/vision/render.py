@@ -33,16 +33,17 @@ def environment_depth(camera: Camera, boxes: Sequence[FixedBox], grow: float = 0
     Rays meet boxes in closed form (the slab method), so a floor that runs beneath the camera needs no clipping. A box
     around the camera itself is not seen.
     """
-    rays = camera.rays() @ camera.T_world_camera[:3, :3].T
+    rays = np.moveaxis(camera.rays() @ camera.T_world_camera[:3, :3].T, -1, 0)
     eye = camera.T_world_camera[:3, 3]
     depth = np.full(camera.shape, np.inf)
     for box in boxes:
-        half = np.asarray(box.half) + grow
-        with np.errstate(divide="ignore", invalid="ignore"):
-            faces = np.stack([(box.centre - half - eye) / rays, (box.centre + half - eye) / rays])
-        # A ray inside a slab's own face gives 0/0: it neither enters nor leaves through it.
-        enter = np.nanmax(np.fmin(faces[0], faces[1]), axis=-1)
-        leave = np.nanmin(np.fmax(faces[0], faces[1]), axis=-1)
+        enter, leave = np.full(camera.shape, -np.inf), np.full(camera.shape, np.inf)
+        for axis, ray in enumerate(rays):
+            low, high = box.centre[axis] - box.half[axis] - grow, box.centre[axis] + box.half[axis] + grow
+            with np.errstate(divide="ignore", invalid="ignore"):
+                first, second = (low - eye[axis]) / ray, (high - eye[axis]) / ray
+            # fmin and fmax pass over the 0/0 of a ray within a face: it neither enters nor leaves through that one.
+            enter, leave = np.fmax(enter, np.fmin(first, second)), np.fmin(leave, np.fmax(first, second))
         depth = np.where((enter <= leave) & (enter > 0), np.minimum(depth, enter), depth)
     return depth
 

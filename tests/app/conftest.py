@@ -4,12 +4,13 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from vclient import VClient, until
 
-from app.serve.main import Page
+if TYPE_CHECKING:
+    from app.serve.main import Page
 
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "chrome")
 CHROMIUM_FLAGS = [
@@ -30,7 +31,9 @@ def pytest_runtest_makereport(item: pytest.Item) -> Any:
 
 
 @pytest.fixture(scope="session")
-def served() -> Iterator[Page]:
+def served() -> "Iterator[Page]":
+    from app.serve.main import Page  # here, so that tests of the command line do not wait for all that it loads
+
     page = Page("free", port=0, say=lambda _: None)
     page.start()
     yield page
@@ -38,7 +41,7 @@ def served() -> Iterator[Page]:
 
 
 @pytest.fixture
-def raw(served: Page) -> Iterator[VClient]:
+def raw(served: "Page") -> Iterator[VClient]:
     """A client of the freshly reset page, with the arm on its path."""
     client = VClient(served.server.get_port())
     assert client.ready.wait(10.0)
@@ -68,7 +71,7 @@ def chromium() -> Iterator[Any]:
 
 
 @pytest.fixture
-def tab(chromium: Any, served: Page, raw: VClient, request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Any]:  # noqa: ARG001
+def tab(chromium: Any, served: "Page", raw: VClient, request: Any, tmp_path: Path) -> Iterator[Any]:  # noqa: ARG001
     """A browser tab with the page loaded and the robot drawn; small and coarse, because a CPU renders it."""
     context = chromium.new_context(viewport={"width": 1000, "height": 620})
     context.set_default_timeout(30_000)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from scenes import DeviceStages, random_images, random_meshes, random_poses, representable, small_camera
+from eye_scenes import DeviceStages, random_images, random_meshes, random_poses, representable, small_camera
 
 from hrc.vision import kernels
 

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from scenes import DeviceStages, random_images, representable, small_camera
+from eye_scenes import DeviceStages, random_images, representable, small_camera
 
 from hrc.vision import reference
 

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from scenes import DeviceStages, random_meshes, random_poses, small_camera
+from eye_scenes import DeviceStages, random_meshes, random_poses, small_camera
 
 from hrc import meshes
 from hrc.errors import DeviceError

@@ -4,7 +4,7 @@ Each file holds one stage: its kernels, and a class that owns the buffers and qu
 address for life, so that a sequence of stages is captured once (`Graph`) and replayed.
 """
 
-from hrc.vision.kernels.contact import ContactPoint
+from hrc.vision.kernels.contact import ContactPoints, Found
 from hrc.vision.kernels.distance import Distance
 from hrc.vision.kernels.filtering import Filter
 from hrc.vision.kernels.noise import Noise
@@ -13,6 +13,6 @@ from hrc.vision.kernels.runtime import Graph, check_device, read, upload, warm, 
 from hrc.vision.kernels.types import MODULE, NO_LINK, Grid, grid, key_depth, pack, to_image, unpack
 
 __all__ = [
-    "MODULE", "NO_LINK", "ContactPoint", "Distance", "Filter", "Graph", "Grid", "Noise", "Rasteriser", "Surface", "check_device",
-    "grid", "key_depth", "pack", "read", "to_image", "unpack", "upload", "warm", "write",
+    "MODULE", "NO_LINK", "ContactPoints", "Distance", "Filter", "Found", "Graph", "Grid", "Noise", "Rasteriser", "Surface",
+    "check_device", "grid", "key_depth", "pack", "read", "to_image", "unpack", "upload", "warm", "write",
 ]

@@ -14,7 +14,21 @@ from hrc.vision.kernels import native
 from hrc.vision.kernels.filtering import Filter
 from hrc.vision.kernels.runtime import pixels_per_thread, read, zeros
 from hrc.vision.kernels.types import (
-    ID, MAX_CANDIDATES, MODULE, TILE, TILE_H, TILE_W, Floats, Grid, Ints, Keys, Ranks, depth_of, pixels, to_image,
+    ID,
+    LINK_COUNT,
+    MAX_CANDIDATES,
+    MODULE,
+    TILE,
+    TILE_H,
+    TILE_W,
+    Floats,
+    Grid,
+    Ints,
+    Keys,
+    Ranks,
+    depth_of,
+    pixels,
+    to_image,
 )
 
 NONE = wp.constant(wp.uint64(0x7F7FFFFFFFFFFFFF))
@@ -26,7 +40,8 @@ SLACK = wp.constant(wp.float32(0.9999))
 @wp.kernel(module=MODULE)
 def reset(n_active: Ints, nearest: Ranks):
     n_active[0] = 0
-    nearest[0] = NONE
+    for link in range(LINK_COUNT):
+        nearest[link] = NONE
 
 
 @wp.func
@@ -58,9 +73,9 @@ def list_candidates(keys: Keys, links: wp.uint32, near: Floats, far: Floats, rea
     n = int(0)
     rx = int(reach * g.ray * g.fx / depth[0] / float(TILE_W)) + 1
     ry = int(reach * g.ray * g.fy / depth[0] / float(TILE_H)) + 1
-    for y in range(wp.max(0, ty - ry), wp.min(g.tiles_y, ty + ry + 1)):
+    for y in range(wp.max(0, ty - ry), wp.min(g.tiles_y, ty + ry + 1)):  # pyright: ignore[reportArgumentType]
         dy = gap(ty * TILE_H, ty * TILE_H + TILE_H, y * TILE_H, y * TILE_H + TILE_H) / g.fy
-        for x in range(wp.max(0, tx - rx), wp.min(g.tiles_x, tx + rx + 1)):
+        for x in range(wp.max(0, tx - rx), wp.min(g.tiles_x, tx + rx + 1)):  # pyright: ignore[reportArgumentType]
             o = y * g.tiles_x + x
             if near[o] < depth[1] + reach and far[o] + thickness > depth[0] - reach and far[o] > 0.0:
                 dx = gap(tx * TILE_W, tx * TILE_W + TILE_W, x * TILE_W, x * TILE_W + TILE_W) / g.fx
@@ -110,7 +125,7 @@ def measure(keys: Keys, links: wp.uint32, depth: Floats, near: Floats, far: Floa
         if least < reach * reach:
             distances[pixel] = wp.sqrt(least)
             # The rank orders by distance, then by pixel: equal distances always give the same pixel.
-            wp.atomic_min(nearest, 0, (wp.uint64(wp.cast(least, wp.uint32)) << wp.uint64(32)) | wp.uint64(pixel))
+            wp.atomic_min(nearest, int(key & ID), (wp.uint64(wp.cast(least, wp.uint32)) << wp.uint64(32)) | wp.uint64(pixel))
         else:
             distances[pixel] = wp.inf
 
@@ -119,7 +134,7 @@ class Distance:
     """The distance map between a robot raster and what a filter left.
 
     keys: the robot's raster; links: bit set of the links that count; reach [m]: rho; thickness [m]: of obstacles.
-    distances: the map, flat, valid in the first n_active tiles of `active`; nearest: its least rank.
+    distances: the map, flat, valid in the first n_active tiles of `active`; nearest: its least rank on each link.
     """
 
     def __init__(self, g: Grid, keys: Any, foreground: Filter, device: str) -> None:
@@ -129,7 +144,7 @@ class Distance:
         self._lists, self._counts, self.active = (zeros(n, wp.int32, device) for n in
                                                   (tiles * MAX_CANDIDATES, tiles, tiles))
         self.n_active = zeros(1, wp.int32, device)
-        self.nearest = zeros(1, wp.uint64, device)
+        self.nearest = zeros(LINK_COUNT, wp.uint64, device)
         self.distances = zeros(pixels(g), wp.float32, device)
 
     def launch(self) -> None:

@@ -35,8 +35,8 @@ def drop_unsupported(raw: Floats, neighbours: int, step: float, g: Grid, foregro
     most = float(0.0)
     u0 = t % g.tiles_x * TILE_W
     v0 = t / g.tiles_x * TILE_H
-    for v in range(v0, wp.min(v0 + TILE_H, g.height)):
-        for u in range(u0, wp.min(u0 + TILE_W, g.width)):
+    for v in range(v0, wp.min(v0 + TILE_H, g.height)):  # pyright: ignore[reportArgumentType]
+        for u in range(u0, wp.min(u0 + TILE_W, g.width)):  # pyright: ignore[reportArgumentType]
             z = foreground[v * g.stride + u]
             if z < FAR:
                 count = int(-1)  # the pixel itself

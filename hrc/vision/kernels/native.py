@@ -8,6 +8,7 @@ import warp as wp
 
 from hrc.vision.kernels.types import Grid
 
+
 # Vertices [first, first + n), all of one frame: moved out by `margin` along the normal, then to (u, v, 1/z); 1/z is -1 for
 # what is nearer than `near`.
 @wp.func_native(r"""
@@ -176,8 +177,9 @@ def robot_range(keys: wp.array(dtype=wp.uint32), first: int, links: wp.uint32, g
         const float* __restrict f = depth.data + (v + r) * g.stride + u;
         #pragma clang loop vectorize(enable)
         for (int i = 0; i < 16; ++i) {
-            const float d = f[i] < 1.0e3f ? f[i] : 1.0e3f, back = d + thickness, inner = z < back ? z : back, e = d < inner ? inner : d;
-            const float dx = kx[i] * e - x, dy = ky * e - y, dz = e - z, s = dx * dx + dy * dy + dz * dz;
+            const float d = f[i] < 1.0e3f ? f[i] : 1.0e3f, back = d + thickness, inner = z < back ? z : back;
+            const float e = d < inner ? inner : d, dx = kx[i] * e - x, dy = ky * e - y, dz = e - z;
+            const float s = dx * dx + dy * dy + dz * dz;
             const int bits = __builtin_bit_cast(int, s);
             least[i] = bits < least[i] ? bits : least[i];
         }

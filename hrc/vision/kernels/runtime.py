@@ -1,5 +1,9 @@
 """Devices, buffers and captured graphs: the little of Warp's runtime that the rest of the package sees."""
 
+import functools
+import os
+import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -10,8 +14,30 @@ from hrc.errors import DeviceError, unknown
 from hrc.vision.kernels.types import MODULE, TILE, Grid, to_image
 
 
+@functools.cache
+def _start() -> None:
+    """Initialise Warp without its line, written to stderr by C++, that there is no CUDA driver: on a CPU no news."""
+    try:
+        stderr = os.dup(2)
+    except OSError:  # closed: then nothing can be written either
+        wp.init()
+        return
+    with tempfile.TemporaryFile() as said:
+        os.dup2(said.fileno(), 2)
+        try:
+            wp.init()
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+            said.seek(0)
+            for line in said.read().decode(errors="replace").splitlines():
+                if "CUDA driver" not in line:
+                    print(line, file=sys.stderr)
+
+
 def check_device(name: str) -> str:
     """The device's full name. Raises DeviceError, naming those there are, if it is not available."""
+    _start()
     known = [d.alias for d in wp.get_devices()]
     full = "cuda:0" if name == "cuda" else name
     if full not in known:
@@ -76,6 +102,7 @@ class Graph:
         with wp.ScopedCapture(device=device) as capture:
             for stage in stages:
                 stage()
+        assert capture.graph is not None
         self._graph = capture.graph
 
     def replay(self) -> None:

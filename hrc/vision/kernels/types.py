@@ -25,6 +25,8 @@ FAR = 1.0e3
 NEAR = 0.05
 """Triangles with a vertex nearer to the camera than this [m] are not drawn."""
 NO_LINK = 255
+LINK_COUNT = 8
+"""Base and links of the robot: the ids 0 to 7 of its raster."""
 ID = wp.constant(wp.uint32(0x0000000F))
 VALUE = wp.constant(wp.uint32(0xFFFFFFF0))
 """The parts of a raster key: the id of what is seen, and the bits of 1/z that remain."""

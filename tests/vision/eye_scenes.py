@@ -82,11 +82,11 @@ class DeviceStages:
         return self._distance(robot, link, foreground, reach, thickness).image()
 
     def contact_point(self, robot, link, foreground, reach, thickness, **options):
-        point = kernels.ContactPoint(self._distance(robot, link, foreground, reach, thickness))
+        point = kernels.ContactPoints(self._distance(robot, link, foreground, reach, thickness))
         for name, value in options.items():
             setattr(point, name, value)
         point.launch()
-        return point.result()
+        return next(iter(point.result()), None)
 
 
 def representable(camera, robot, link):

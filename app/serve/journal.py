@@ -1,0 +1,77 @@
+"""The log of the page: events, changes of mode and refusals, newest first, in words."""
+
+from collections import deque
+from collections.abc import Callable
+from html import escape
+
+from app.serve.mailbox import Note
+from hrc import events
+from hrc.messages import LINKS, Mode
+
+LENGTH = 60
+
+
+class Journal:
+    """Lines of the log. A drag sends twenty events a second; events that follow one of their own kind make one line.
+
+    now: the cell's time [s], for what never reached the cell.
+    """
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        self._now = now
+        self._lines: deque[tuple[float, str, str]] = deque(maxlen=LENGTH)
+        self._last: tuple[object, ...] = ()
+
+    def add(self, note: Note) -> None:
+        """A line for what happened in the cell."""
+        if isinstance(note.subject, Mode):
+            self._append(note.time, "mode", note.subject.value.upper(), (note.subject, note.time))
+        elif note.refused:
+            name = type(note.subject).__name__
+            self._append(note.time, "refused", f"{name} refused: {note.refused}", (name, note.refused))
+        else:
+            self._append(note.time, "event", describe(note.subject), _kind(note.subject))
+
+    def refuse(self, why: str) -> None:
+        """A line for something that was not let through."""
+        self._append(self._now(), "refused", why, (why,))
+
+    def _append(self, time: float, style: str, text: str, kind: tuple[object, ...]) -> None:
+        if kind == self._last:
+            self._lines.pop()
+        self._last = kind
+        self._lines.append((time, style, text))
+
+    def html(self) -> str:
+        """The log as HTML; everything from outside is escaped."""
+        lines = (f'<div class="{style}"><time>{time:.2f} s</time><span>{escape(text)}</span></div>'
+                 for time, style, text in reversed(self._lines))
+        return f'<div class="eb-log">{"".join(lines)}</div>'
+
+
+def describe(event: events.Event) -> str:
+    """An event in a few words."""
+    match event:
+        case events.Pull(link=link):
+            return f"pulling {LINKS[link]}"
+        case events.Push(link=link, force=force):
+            return f"pushing {LINKS[link]} with ({force[0]:.0f}, {force[1]:.0f}, {force[2]:.0f}) N"
+        case events.Release():
+            return "let go"
+        case events.MoveObstacle(name=name, position=(x, y, z)):
+            return f"{name} to ({x:.2f}, {y:.2f}, {z:.2f}) m"
+        case events.RemoveObstacle(name=name):
+            return f"{name} taken out"
+        case events.Press(name=name, link=link):
+            return f"{name} presses {LINKS[link]}"
+        case events.SetParameter(key=key, value=value):
+            return f"{key} = {value:g}" if isinstance(value, float) else f"{key} = {value}"
+        case events.Stop(reason=reason):
+            return f"stop: {reason}"
+        case _:
+            return type(event).__name__.lower()
+
+
+def _kind(event: events.Event) -> tuple[object, ...]:
+    """What makes two events one line: the same act on the same thing."""
+    return (type(event), getattr(event, "name", None), getattr(event, "link", None), getattr(event, "key", None))

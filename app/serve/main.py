@@ -1,0 +1,99 @@
+"""`elbowroom serve`: the page, its cell, and how they start and stop."""
+
+import contextlib
+import io
+import os
+import signal
+import threading
+import webbrowser
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from viser.theme import TitlebarConfig, TitlebarImage
+
+from app.serve.forces import ForceView
+from app.serve.guard import Guard
+from app.serve.hands import Hands
+from app.serve.journal import Journal
+from app.serve.mailbox import Mailbox
+from app.serve.obstacles import ObstacleControls
+from app.serve.panel import Panel
+from app.serve.publisher import Publisher, Screen
+from app.serve.scene import SceneView
+from app.serve.session import Session
+from app.serve.signals import SignalView
+from hrc.cell import scenario as scenarios
+from hrc.scene import load_scene
+
+LOGO = TitlebarConfig(buttons=None, image=TitlebarImage(
+    image_url_light="/app/logo.svg", image_url_dark=None, image_alt="Elbowroom", href=None))
+BRAND = (224, 108, 30)
+
+
+class Page:
+    """One server, one cell, any number of browsers."""
+
+    def __init__(self, scenario: str = "free", *, host: str = "127.0.0.1", port: int = 8080, device: str = "cpu",
+                 settings: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), seed: int = 0, token: str | None = None,
+                 say: Callable[[str], None] = print) -> None:
+        """Bind the port and build the page; the cell starts with `start`.
+
+        Raises ScenarioError or ConfigError for what cannot be run, PageError for an address that cannot be served.
+        """
+        mailbox = Mailbox()
+        self.journal = Journal(lambda: mailbox.latest.time if mailbox.latest is not None else 0.0)
+        self.session = Session(mailbox, device=device, settings=dict(settings), seed=seed, say=say)
+        config, scene = self.session.check(scenario), load_scene()
+        self.guard = Guard(token)
+        self.server = self.guard.open(host, port, "Elbowroom")
+        self.url = f"http://{host}:{self.server.get_port()}/" + (f"?token={token}" if token else "")
+        self._scenario = scenario
+        self.server.gui.configure_theme(titlebar_content=LOGO, dark_mode=True, brand_color=BRAND, show_logo=False,
+                                        show_share_button=False)
+        view, forces = SceneView(self.server, scene), ForceView(self.server)
+        obstacles = ObstacleControls(self.server, self.session, view, self.journal.refuse)
+        listed = dict.fromkeys((*scenarios.names(), scenario))
+        panel = Panel(self.server, self.session, scenarios=tuple(listed), scenario=scenario, config=config, view=view,
+                      forces=forces, obstacles=obstacles, journal=self.journal)
+        self._hands = Hands(self.server, self.session, view, self.journal.refuse)
+        screen = Screen(view, forces, obstacles, panel, SignalView(self.server), self.journal)
+        self._publisher = Publisher(self.server, self.session, mailbox, screen, config)
+
+    def start(self) -> None:
+        """Publish, and start the cell; returns at once."""
+        self._publisher.start()
+        self.session.start(self._scenario)
+
+    def close(self) -> None:
+        """Stop the cell, then the page."""
+        self._hands.close()
+        self.session.close()
+        self._publisher.close()
+        with contextlib.redirect_stdout(io.StringIO()):  # viser announces its end on stdout
+            self.server.stop()
+
+
+def serve(scenario: str = "free", host: str = "127.0.0.1", port: int = 8080, device: str = "cpu",
+          settings: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), seed: int = 0, open_browser: bool = False,
+          token: str | None = None) -> None:
+    """Serve the page until Ctrl-C or SIGTERM.
+
+    settings: parameters by key, over the scenario's own. token: what a visitor must know when the host is not this
+    machine's own; by default the environment's ELBOWROOM_TOKEN.
+
+    Raises ScenarioError, ConfigError or PageError before anything is served.
+    """
+    print("loading ...", flush=True)
+    page = Page(scenario, host=host, port=port, device=device, settings=settings, seed=seed,
+                token=token or os.environ.get("ELBOWROOM_TOKEN") or None, say=lambda line: print(line, flush=True))
+    over = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: over.set())
+    print(f"Elbowroom is at {page.url} (Ctrl-C ends it)", flush=True)
+    page.start()
+    if open_browser:
+        webbrowser.open(page.url)
+    while not over.wait(0.5):  # in short waits: a signal is handled between them on every platform
+        pass
+    print("stopping ...", flush=True)
+    page.close()

@@ -1,0 +1,113 @@
+"""Obstacles in the hands of a visitor: a gizmo for each, dragging the body itself, and a box to bring it in or out.
+
+The drawn body is where the plant has it; the gizmo is where its force-limited drive is asked to go.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import viser
+
+from app.serve.scene import SceneView
+from app.serve.session import HOME, Session
+from hrc.errors import HrcError
+from hrc.events import Event, MoveObstacle, RemoveObstacle, Vector
+from hrc.messages import Body, Snapshot
+
+LIMITS = ((-1.5, 1.0), (-1.2, 1.2), (0.0, 1.5))
+"""Where a gizmo may be dragged: x, y, z [m]."""
+
+
+class ObstacleControls:
+    """Gizmos and drags. The checkboxes are made by `add_boxes`, inside the tab they belong to."""
+
+    def __init__(self, server: viser.ViserServer, session: Session, view: SceneView,
+                 refuse: Callable[[str], None]) -> None:
+        self._session, self._view, self._refuse = session, view, refuse
+        self._server = server
+        self._boxes: dict[str, viser.GuiCheckboxHandle] = {}
+        self._asked: dict[str, Vector] = {}
+        self._grabbed: dict[int, tuple[str, np.ndarray]] = {}
+        self._draggable: set[str] = set()
+        self._gizmos = {name: self._gizmo(name, home) for name, home in HOME.items()}
+
+    def add_boxes(self) -> None:
+        """A checkbox for each obstacle, in the present container."""
+        for name, home in HOME.items():
+            box = self._server.gui.add_checkbox(name.capitalize(), False, hint=f"Bring the {name} in, or take it out")
+            box.on_update(self._on_box(name, home))
+            self._boxes[name] = box
+
+    def update(self, snapshot: Snapshot) -> None:
+        """Gizmos and boxes follow what is there, unless a visitor asked for something else."""
+        for body in snapshot.bodies:
+            if body.name not in self._gizmos:
+                continue
+            self._make_draggable(body)
+            gizmo = self._gizmos[body.name]
+            gizmo.visible = body.present and not body.virtual
+            if body.name in self._boxes:
+                self._boxes[body.name].value = body.present
+            if body.present and body.name not in self._asked:
+                gizmo.position = body.T_world_body[:3, 3]
+
+    def forget(self) -> None:
+        """After a reset nothing is asked for any more."""
+        self._asked.clear()
+
+    def _gizmo(self, name: str, home: Vector) -> viser.TransformControlsHandle:
+        gizmo = self._server.scene.add_transform_controls(
+            f"/gizmos/{name}", scale=0.16, disable_rotations=True, disable_sliders=True, translation_limits=LIMITS,
+            position=home, visible=False)
+
+        async def on_update(event: viser.TransformControlsEvent) -> None:
+            self._move(name, event.target.position)
+
+        gizmo.on_update(on_update)
+        return gizmo
+
+    def _make_draggable(self, body: Body) -> None:
+        """The body itself can be dragged too, in the plane of the screen."""
+        if body.name in self._draggable:
+            return
+        self._draggable.add(body.name)
+
+        async def on_drag(event: viser.SceneNodeDragEvent[Any]) -> None:
+            if event.phase == "start":
+                offset = np.asarray(event.target.position) - np.asarray(event.start_position)
+                self._grabbed[event.client_id] = (body.name, offset)
+            name, offset = self._grabbed.get(event.client_id, ("", np.zeros(3)))
+            if event.phase == "end":
+                self._grabbed.pop(event.client_id, None)
+            elif name == body.name:
+                position = np.asarray(event.end_position) + offset
+                if self._move(name, position):
+                    self._gizmos[name].position = position
+
+        self._view.bodies[body.name].on_drag("left")(on_drag)
+
+    def _on_box(self, name: str, home: Vector) -> Callable[[Any], Any]:
+        async def on_update(event: viser.GuiEvent[Any]) -> None:
+            if event.client_id is None:  # set by `update`, not by a visitor
+                return
+            self._asked.pop(name, None)
+            self._put(MoveObstacle(name, home) if event.target.value else RemoveObstacle(name))
+
+        return on_update
+
+    def _move(self, name: str, position: Any) -> bool:
+        low, high = np.transpose(LIMITS)
+        x, y, z = (float(c) for c in np.clip(position, low, high))
+        moved = self._put(MoveObstacle(name, (x, y, z)))  # clipped, so it can always be made
+        if moved:
+            self._asked[name] = (x, y, z)
+        return moved
+
+    def _put(self, event: Event) -> bool:
+        try:
+            self._session.put(event)
+        except HrcError as error:
+            self._refuse(str(error))
+            return False
+        return True

@@ -1,0 +1,135 @@
+"""The thread that tells the browsers: reads the mailbox, writes the scene and the panels, each at its own rate.
+
+It never touches the cell. It skips frames when it is late, and does nothing for a scene that nobody looks at.
+"""
+
+import sys
+import threading
+import time
+import traceback
+from dataclasses import dataclass
+
+import viser
+
+from app.serve.forces import ForceView
+from app.serve.journal import Journal
+from app.serve.mailbox import Mailbox
+from app.serve.obstacles import ObstacleControls
+from app.serve.panel import Panel
+from app.serve.scene import SceneView
+from app.serve.session import Session
+from app.serve.sight import Sight
+from app.serve.signals import SignalView
+from hrc.config import Config
+from hrc.errors import ConfigError
+from hrc.events import Reset, SetParameter
+from hrc.messages import Snapshot
+from hrc.parameters import replaced
+from hrc.vision.camera import Camera
+
+POSE_HZ = 30
+CLOUD_EVERY, PANEL_EVERY, PICTURE_EVERY, TRAIL_EVERY = 2, 3, 4, 6
+"""In beats of POSE_HZ: cloud 15 Hz, banner and plot 10 Hz, depth picture 7.5 Hz, tool path 5 Hz."""
+
+
+@dataclass
+class Screen:
+    """The parts of the page that follow the cell."""
+
+    view: SceneView
+    forces: ForceView
+    obstacles: ObstacleControls
+    panel: Panel
+    signals: SignalView
+    journal: Journal
+
+
+class Publisher:
+    """Publishes until it is closed. config: what the screen shows until the first cell runs."""
+
+    def __init__(self, server: viser.ViserServer, session: Session, mailbox: Mailbox, screen: Screen,
+                 config: Config) -> None:
+        self._server, self._session, self._mailbox, self._screen = server, session, mailbox, screen
+        self._begun: Config | None = None
+        self._begin(config)
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._loop, name="publisher", daemon=True)
+
+    def start(self) -> None:
+        """Begin to publish."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop publishing."""
+        self._closing.set()
+        self._thread.join(timeout=5.0)
+
+    def _loop(self) -> None:
+        beat, due = 0, time.monotonic()
+        while not self._closing.wait(max(0.0, due - time.monotonic())):
+            due = max(due + 1.0 / POSE_HZ, time.monotonic())
+            beat += 1
+            try:
+                self._publish(beat)
+            except Exception:  # one frame that cannot be drawn must not end the page
+                traceback.print_exc(file=sys.stderr)
+                self._closing.wait(1.0)
+
+    def _publish(self, beat: int) -> None:
+        snapshot = self._mailbox.latest
+        if self._session.config is not None and self._session.config is not self._begun:
+            self._begin(self._session.config)
+        self._read_notes()
+        watched = bool(self._server.get_clients())
+        if beat % PANEL_EVERY == 0:
+            self._screen.panel.update(snapshot)
+            self._screen.panel.update_log()
+        if snapshot is not None and watched:
+            self._draw(beat, snapshot)
+
+    def _draw(self, beat: int, snapshot: Snapshot) -> None:
+        self._screen.view.update_poses(snapshot)
+        self._screen.forces.update(snapshot)
+        if beat % CLOUD_EVERY == 0:
+            self._screen.view.update_cloud(snapshot, self._sight)
+        if beat % PANEL_EVERY == 1:
+            self._screen.obstacles.update(snapshot)
+            control = self._config.control
+            self._screen.signals.update_plot(self._mailbox.forces(), control.f_relax, control.f_abort)
+        if beat % PICTURE_EVERY == 2:
+            self._screen.signals.update_picture(snapshot, self._sight)
+        if beat % TRAIL_EVERY == 3:
+            self._screen.view.update_trail(snapshot)
+
+    def _read_notes(self) -> None:
+        """The log, and what follows from an event: sliders show what the cell has, not what was asked for."""
+        for note in self._mailbox.take_notes():
+            self._screen.journal.add(note)
+            if isinstance(note.subject, Reset) and self._begun is not None:
+                self._adopt(self._begun)
+                self._screen.obstacles.forget()
+                self._screen.view.forget_trail()
+            elif isinstance(note.subject, SetParameter):
+                self._set(note.subject, refused=bool(note.refused))
+
+    def _set(self, event: SetParameter, *, refused: bool) -> None:
+        """Follow a change; one that was refused puts the slider back."""
+        try:
+            self._adopt(self._config if refused else replaced(self._config, event.key, event.value))
+        except ConfigError as error:
+            self._screen.journal.refuse(str(error))
+
+    def _begin(self, config: Config) -> None:
+        """Another cell: its camera, its parameters, and nothing left of the one before."""
+        self._begun = config
+        camera = Camera(config.camera)
+        self._sight = Sight(camera)
+        self._screen.view.place_camera(camera)
+        self._screen.obstacles.forget()
+        self._screen.view.forget_trail()
+        self._adopt(config)
+
+    def _adopt(self, config: Config) -> None:
+        self._config = config
+        self._screen.forces.stiffness, self._screen.forces.cap = config.push.stiffness, config.push.cap
+        self._screen.panel.show_parameters(config)

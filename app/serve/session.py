@@ -1,0 +1,174 @@
+"""The thread that owns the cell. Everybody else puts events, or asks for another scenario; nobody else steps it."""
+
+import queue
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from app.serve.mailbox import Mailbox
+from hrc.cell import scenario
+from hrc.cell.cell import Cell
+from hrc.cell.pace import RealTime
+from hrc.cell.run import Inbox, run
+from hrc.config import Config
+from hrc.errors import HrcError
+from hrc.events import Event, MoveObstacle, Press, Reset, Resume, Stop
+from hrc.parameters import replaced
+
+HOME: dict[str, tuple[float, float, float]] = {
+    "ball": (-0.35, 0.55, 0.35), "block": (-0.75, -0.55, 0.30), "slab": (-0.25, -0.60, 0.35)}
+"""Where an obstacle is brought in [m]: within reach of the mouse, out of reach of the arm on its path."""
+
+
+class Phase(StrEnum):
+    """Of the session; while it is running, the arm's own mode says more."""
+
+    STARTING = "starting"
+    RUNNING = "running"
+    FAILED = "failed"
+    CLOSED = "closed"
+
+
+@dataclass(frozen=True)
+class Status:
+    """The phase, and a line about it for the banner."""
+
+    phase: Phase
+    text: str = ""
+
+
+class Session:
+    """A cell that runs in real time in a thread of its own, one scenario after another.
+
+    settings: `group.name` -> value, over each scenario's own. say: told what is going on, for the terminal.
+    config: the running cell's, at its start; None before the first.
+    """
+
+    def __init__(self, mailbox: Mailbox, *, device: str = "cpu", settings: Mapping[str, Any] | None = None,
+                 seed: int = 0, say: Callable[[str], None] = print) -> None:
+        self.config: Config | None = None
+        self.scenario = ""
+        self.status = Status(Phase.STARTING, "starting")
+        self._mailbox, self._device, self._seed, self._say = mailbox, device, seed, say
+        self._settings = dict(settings or {})
+        self._wanted: queue.Queue[str | None] = queue.Queue()
+        self._inbox: Inbox | None = None
+        self._pacer = RealTime()
+        self._leave = threading.Event()
+        self._welcome: tuple[Event, ...] = ()
+        self._thread = threading.Thread(target=self._loop, name="cell", daemon=True)
+
+    def check(self, name: str) -> Config:
+        """The config that a scenario would run with. Raises ScenarioError or ConfigError."""
+        config = scenario.load(name).configured(Config().replace(seed=self._seed))
+        for key, value in self._settings.items():
+            config = replaced(config, key, value)
+        return config
+
+    def start(self, name: str) -> None:
+        """Begin with a scenario."""
+        self.open(name)
+        self._thread.start()
+
+    def open(self, name: str) -> None:
+        """Leave the running cell and start another with this scenario."""
+        self.status = Status(Phase.STARTING, f'starting "{name}"')
+        self._wanted.put(name)
+        self._leave.set()
+
+    def close(self) -> None:
+        """Stop stepping and end the thread."""
+        self._wanted.put(None)
+        self._leave.set()
+        self._thread.join(timeout=10.0)
+
+    def put(self, event: Event) -> None:
+        """An event for the next step. Raises HrcError while no cell runs.
+
+        For a Stop, Resume or Reset a paused cell takes one control cycle, so that it takes hold at once.
+        """
+        inbox = self._inbox
+        if inbox is None or self.config is None or self.status.phase is not Phase.RUNNING:
+            raise HrcError(f"the cell is not running ({self.status.text})")
+        inbox.put(event)
+        if self._pacer.paused and isinstance(event, (Stop, Resume, Reset)):
+            self._pacer.step_once(self.config.rates.base_hz // self.config.rates.control_hz)
+
+    def reset(self) -> None:
+        """Back to the start of the scenario; a cell that failed is made anew."""
+        if self.status.phase is Phase.FAILED:
+            self.open(self.scenario)
+            return
+        self.put(Reset())
+        for event in self._welcome:
+            self.put(event)
+
+    @property
+    def paused(self) -> bool:
+        """Whether simulated time stands still."""
+        return self._pacer.paused
+
+    @paused.setter
+    def paused(self, paused: bool) -> None:
+        self._pacer.paused = paused
+
+    def step(self, ticks: int) -> None:
+        """Pause, and take so many steps."""
+        self._pacer.paused = True
+        self._pacer.step_once(ticks)
+
+    @property
+    def speed(self) -> float:
+        """Simulated seconds per second that are asked for."""
+        return self._pacer.speed
+
+    @speed.setter
+    def speed(self, speed: float) -> None:
+        self._pacer.speed = speed
+
+    @property
+    def factor(self) -> float:
+        """Simulated seconds per second that are reached."""
+        return self._pacer.factor
+
+    @property
+    def capped(self) -> bool:
+        """Whether the machine is too slow: steps are dropped, and enough of them to see."""
+        return self._pacer.capped and self._pacer.factor < 0.97 * self._pacer.speed
+
+    def _loop(self) -> None:
+        while (name := self._wanted.get()) is not None:
+            try:
+                self._drive(name)
+            except Exception as error:  # whatever broke the cell, the page lives on and says so
+                traceback.print_exc(file=sys.stderr)
+                self.status = Status(Phase.FAILED, f"{type(error).__name__}: {error}. Reset or choose a scenario.")
+                self._say(f"the cell failed ({type(error).__name__}: {error}); the page lives on")
+            self._inbox = None
+        self.status = Status(Phase.CLOSED, "the server is closing")
+
+    def _drive(self, name: str) -> None:
+        self._leave.clear()
+        if not self._wanted.empty():  # somebody has already chosen again
+            return
+        self.scenario = name
+        self._mailbox.clear()
+        note = "building the cell and compiling its kernels (about 10 s the first time)"
+        self.status = Status(Phase.STARTING, f'"{name}": {note}')
+        self._say(f'starting "{name}": {note} ...')
+        script, config = scenario.load(name), self.check(name)
+        cell = Cell(config, self._device)
+        brought = any(isinstance(event, (Press, MoveObstacle)) for _, event in script.events)
+        self._welcome = () if brought else (MoveObstacle("ball", HOME["ball"]),)
+        base_hz = config.rates.base_hz
+        pacer, inbox = RealTime(base_hz, self._pacer.speed), Inbox(script, base_hz)
+        for event in self._welcome:
+            inbox.put(event)
+        self.config, self._pacer, self._inbox = config, pacer, inbox
+        self.status = Status(Phase.RUNNING)
+        self._say(f'"{name}" is running')
+        run(cell, pacer, inbox, (self._mailbox,), until=sys.maxsize, stopped=self._leave.is_set)

@@ -1,0 +1,207 @@
+"""The page over its wire protocol, with the real cell behind it: what a visitor does, and what comes back."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from vclient import VClient, until
+
+from app.serve.main import Page
+from hrc.config import Config
+from hrc.control.reaction import ReactionConfig
+
+ELBOW = "/robot/link_4"
+
+
+def elbow(client: VClient) -> np.ndarray:
+    """A point on the elbow's surface, on the side of the camera [m] (3,)."""
+    return client.position(ELBOW) + np.array([0.06, 0.0, 0.0])
+
+
+def pull(client: VClient, distance: float) -> np.ndarray:
+    """Grab the elbow and pull it sideways; the point that was grabbed."""
+    point = elbow(client)
+    client.drag(ELBOW, "start", point, point)
+    client.drag(ELBOW, "update", point, point + np.array([0.0, distance, 0.0]))
+    return point
+
+
+def number(client: VClient, key: str) -> float:
+    return float(client.banner()[key])
+
+
+def test_arm_moves_and_time_passes(raw: VClient) -> None:
+    before, time = raw.position("/robot/link_7"), number(raw, "time")
+    until(lambda: number(raw, "time") > time + 0.5)
+    until(lambda: np.linalg.norm(raw.position("/robot/link_7") - before) > 0.03)
+    assert raw.banner()["mode"] == "idle"
+
+
+def test_pulling_a_link_is_felt_and_answered(raw: VClient) -> None:
+    point = pull(raw, 0.2)
+    until(lambda: number(raw, "force") > 8.0 and number(raw, "truth") > 8.0)
+    assert raw.banner()["mode"] in ("relax", "abort")
+    until(lambda: raw.nodes["/forces/estimate"].get("visible") and raw.nodes["/forces/truth"].get("visible"))
+    assert "N" in raw.nodes["/forces/estimate_label"]["text"]
+    raw.drag(ELBOW, "end", point, point)
+    until(lambda: number(raw, "truth") == 0.0 and number(raw, "force") == 0.0)
+    until(lambda: raw.banner()["mode"] == "idle")
+
+
+def test_hard_pull_aborts_and_the_arm_returns(raw: VClient) -> None:
+    point = pull(raw, 0.6)
+    until(lambda: raw.banner()["mode"] == "abort")
+    raw.drag(ELBOW, "end", point, point)
+    until(lambda: raw.banner()["mode"] == "idle")
+
+
+def test_leaving_lets_go(served: Page, raw: VClient) -> None:
+    visitor = VClient(served.server.get_port())
+    assert visitor.ready.wait(5.0)
+    until(lambda: elbow(visitor) is not None)
+    pull(visitor, 0.2)
+    until(lambda: number(raw, "truth") > 8.0)
+    visitor.close()
+    until(lambda: number(raw, "truth") == 0.0, 5.0)
+
+
+def test_silent_browser_lets_go(served: Page, raw: VClient) -> None:
+    visitor = VClient(served.server.get_port())
+    assert visitor.ready.wait(5.0)
+    until(lambda: elbow(visitor) is not None)
+    pull(visitor, 0.2)
+    until(lambda: number(raw, "truth") > 8.0)
+    time = number(raw, "time")
+    until(lambda: number(raw, "time") > time + 2.0)
+    assert number(raw, "truth") > 8.0, "a mouse held still keeps pulling while its browser answers"
+    visitor.alive = False
+    until(lambda: number(raw, "truth") == 0.0, 6.0)
+    until(lambda: "does not answer" in raw.text())
+    visitor.close()
+
+
+def test_one_hand_at_a_time(served: Page, raw: VClient) -> None:
+    visitor = VClient(served.server.get_port())
+    assert visitor.ready.wait(5.0)
+    until(lambda: elbow(visitor) is not None)
+    pull(visitor, 0.2)
+    until(lambda: number(raw, "truth") > 8.0)
+    point = pull(raw, 0.2)
+    until(lambda: "somebody else" in raw.text())
+    raw.drag(ELBOW, "end", point, point)
+    assert number(raw, "truth") > 8.0, "somebody else's release lets nobody go"
+    visitor.close()
+
+
+def test_stop_sticks_until_resume(raw: VClient) -> None:
+    raw.click("STOP (Esc)")
+    until(lambda: raw.banner()["mode"] == "stop")
+    time = number(raw, "time")
+    point = pull(raw, 0.2)
+    raw.drag(ELBOW, "end", point, point)
+    until(lambda: number(raw, "time") > time + 1.0)
+    assert raw.banner()["mode"] == "stop"
+    until(lambda: raw.gui[raw.widget("Resume")]["props"]["visible"])
+    raw.click("Resume")
+    until(lambda: raw.banner()["mode"] == "idle")
+
+
+def test_stop_takes_hold_while_paused(raw: VClient) -> None:
+    raw.set("Simulation", "Pause")
+    until(lambda: raw.banner()["paused"] == "true")
+    raw.click("STOP (Esc)")
+    until(lambda: raw.banner()["mode"] == "stop")
+    until(lambda: "Play" in raw.gui[raw.widget("Simulation")]["props"]["options"])
+    raw.set("Simulation", "Play")
+    until(lambda: raw.banner()["paused"] == "false")
+    assert raw.banner()["mode"] == "stop"
+
+
+def test_pause_step_and_reset(raw: VClient) -> None:
+    raw.set("Simulation", "Pause")
+    until(lambda: raw.banner()["paused"] == "true" and "Play" in raw.gui[raw.widget("Simulation")]["props"]["options"])
+    beat = number(raw, "beat")
+    until(lambda: number(raw, "beat") > beat + 2)
+    time = number(raw, "time")
+    raw.set("Simulation", "Step")
+    until(lambda: abs(number(raw, "time") - time - 0.010) < 1e-9)
+    raw.set("Simulation", "Reset")
+    until(lambda: number(raw, "time") < 0.01)
+    raw.set("Simulation", "Play")
+    until(lambda: number(raw, "time") > 0.2)
+
+
+def test_parameters_reach_the_cell_and_return_with_reset(raw: VClient) -> None:
+    default = ReactionConfig().f_relax
+    raw.set("F_relax [N]", default + 2.0)
+    until(lambda: f"control.f_relax = {default + 2.0:g}" in raw.text())
+    assert raw.value("F_relax [N]") == default + 2.0
+    raw.set("Simulation", "Reset")
+    until(lambda: raw.value("F_relax [N]") == default)
+
+
+def test_sliders_carry_range_unit_and_help_of_their_parameters(raw: VClient) -> None:
+    props = raw.gui[raw.widget("Push stiffness [N/m]")]["props"]
+    assert (props["min"], props["max"]) == (20.0, 1000.0)
+    assert props["hint"] == type(Config().push).docs()["stiffness"]
+
+
+def test_obstacle_follows_its_gizmo_and_the_camera_sees_it(raw: VClient) -> None:
+    until(lambda: raw.nodes["/obstacles/ball"].get("visible", True) and raw.position("/obstacles/ball")[1] > 0.5)
+    target = np.array([-0.3, 0.65, 0.5])
+    raw.gizmo("/gizmos/ball", target.tolist())
+    until(lambda: np.linalg.norm(raw.position("/obstacles/ball") - target) < 0.02)
+
+    def seen() -> bool:
+        points = raw.nodes["/cloud"]["points"].reshape(-1, 3).astype(float)
+        return len(points) > 100 and bool(np.linalg.norm(np.median(points, axis=0) - target) < 0.1)
+
+    until(seen)
+    assert raw.nodes["/cloud"]["points"].dtype == np.float16
+
+
+def test_obstacles_come_and_go(raw: VClient) -> None:
+    raw.set("Block", True)
+    until(lambda: raw.nodes["/obstacles/block"]["visible"] and raw.value("Block") is True)
+    raw.set("Block", False)
+    until(lambda: not raw.nodes["/obstacles/block"]["visible"])
+
+
+def test_what_the_cell_refuses_is_in_the_log(raw: VClient) -> None:
+    raw.drag(ELBOW, "start", (3.0, 3.0, 3.0), (3.0, 3.0, 3.0))
+    until(lambda: "point must be" in raw.text())
+    point = elbow(raw)
+    raw.drag(ELBOW, "start", point, point)
+    raw.drag(ELBOW, "update", point, (900.0, 0.0, 0.0))
+    until(lambda: "target must be" in raw.text())
+    raw.drag(ELBOW, "end", point, point)
+    assert raw.banner()["mode"] != "failed"
+
+
+def test_choosing_a_scenario_starts_another_cell(raw: VClient) -> None:
+    raw.set("Scenario", "push")
+    until(lambda: raw.banner()["mode"] == "starting")
+    until(lambda: raw.banner()["mode"] == "relax", 30.0)
+    raw.set("Scenario", "free")
+    until(lambda: raw.banner()["mode"] == "starting")
+    until(lambda: raw.banner()["mode"] == "idle", 30.0)
+
+
+@pytest.fixture
+def broken() -> Iterator[Page]:
+    page = Page("free", port=0, device="cuda:99", say=lambda _: None)
+    page.start()
+    yield page
+    page.close()
+
+
+def test_cell_that_fails_leaves_the_page_standing(broken: Page) -> None:
+    client = VClient(broken.server.get_port())
+    assert client.ready.wait(5.0)
+    until(lambda: client.banner()["mode"] == "failed", 30.0)
+    assert "cuda:99" in client.text()
+    client.click("STOP (Esc)")
+    until(lambda: "not running" in client.text())
+    client.set("Simulation", "Reset")
+    until(lambda: client.banner()["mode"] == "failed", 30.0)
+    client.close()
