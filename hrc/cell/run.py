@@ -8,14 +8,14 @@ from hrc.cell.cell import Cell
 from hrc.cell.pace import Pacer
 from hrc.cell.scenario import Scenario
 from hrc.errors import HrcError
-from hrc.events import Event
+from hrc.events import Event, Reset
 from hrc.messages import Snapshot
 
 
 class Observer(Protocol):
     """Sees every snapshot; must return quickly and never blocks on disk, network or encoding."""
 
-    def on_step(self, snapshot: Snapshot) -> None:
+    def on_step(self, snapshot: Snapshot, /) -> None:
         """One step has been taken."""
         ...
 
@@ -50,11 +50,15 @@ def run(cell: Cell, pacer: Pacer, inbox: Inbox, observers: Iterable[Observer], *
     watchers = tuple(observers)
     while cell.tick < until and not stopped():
         for _ in range(min(pacer.steps_due(), until - cell.tick)):
-            for event in inbox.take(cell.tick):
+            due = inbox.take(cell.tick)
+            while due:
+                event = due.pop(0)
                 try:
                     cell.apply(event)
                 except HrcError as error:
                     cell.refuse(event, str(error))
+                if isinstance(event, Reset):
+                    due = inbox.take(cell.tick) + due  # what the script has at tick 0
             snapshot = cell.step()
             for watcher in watchers:
                 watcher.on_step(snapshot)

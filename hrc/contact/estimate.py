@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrc.contact.force import ForceConfig, estimate_force
-from hrc.contact.isolation import misfit
 from hrc.contact.residual import Detector
 from hrc.geometry import apply
 from hrc.jacobian import Terms
@@ -21,14 +20,12 @@ Array = NDArray[np.float64]
 class TrackerConfig(Parameters):
     """When a point that vision sees is taken for the contact that the residual feels."""
 
-    reach: float = param(0.08, low=0.0, high=0.5, unit="m")
+    reach: float = param(0.1, low=0.0, high=0.5, unit="m")
     """An obstacle farther from the robot than this does not explain a contact."""
-    misfit: float = param(3.0, low=0.0, high=100.0)
-    """How much the residual's say weighs against the distance in choosing the link; 0 takes the nearest point, as printed."""
     hold: float = param(0.2, low=0.0, high=5.0, unit="s")
     """A contact point that vision loses is kept this long."""
     switch: float = param(0.15, low=0.0, high=5.0, unit="s")
-    """The contact moves to another link only when that link has been the better one for this long."""
+    """The contact moves to another link only when that one has been the nearest for this long."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -40,7 +37,7 @@ class _Point:
 
 
 class ContactTracker:
-    """Chooses the contact's point among those that vision offers, keeps it between frames, and estimates the force there."""
+    """Takes the nearest of the points that vision offers, keeps it on its link, and estimates the force there."""
 
     def __init__(self, config: TrackerConfig, force: ForceConfig, dt: float) -> None:
         self.config = config
@@ -56,7 +53,7 @@ class ContactTracker:
         r: residual [N m] (7,); detector: what Eq. (4) says of it. seen: the latest localization, a point for each link near
         an obstacle. keep: hold on to the point while it is unseen, however long, because the controller still acts at it.
         """
-        self._follow(r, detector, seen, terms, keep=keep and detector.detected)
+        self._follow(seen, keep=keep and detector.detected)
         self._felt = detector.detected
         if not detector.detected or self._point is None:
             return None
@@ -67,7 +64,7 @@ class ContactTracker:
         gate = float(np.sqrt(F @ F)) / max(detector.margin, 1.0)
         return Contact(link, p_world, p_link, J_c, F, sigma_min, unobservable, gate)
 
-    def _follow(self, r: Array, detector: Detector, seen: Sequence[Nearest], terms: Terms, *, keep: bool) -> None:
+    def _follow(self, seen: Sequence[Nearest], *, keep: bool) -> None:
         near = [n for n in seen if n.distance <= self.config.reach]
         if not near:
             self._lost += self._dt
@@ -76,25 +73,12 @@ class ContactTracker:
                 self._point = None
             return
         self._lost = 0.0
-        best = self._likeliest(near, r, detector, terms) if detector.detected else near[0]
+        best = near[0]
         if self._felt and self._point is not None and best.link != self._point.link:
-            same = next((n for n in near if n.link == self._point.link), None)
             self._other += self._dt
             if self._other <= self.config.switch:
-                best = same
+                best = next((n for n in near if n.link == self._point.link), None)
         else:
             self._other = 0.0
         if best is not None:
             self._point = _Point(best.link, best.p_link)
-
-    def _likeliest(self, near: Sequence[Nearest], r: Array, detector: Detector, terms: Terms) -> Nearest:
-        """The point that is near and explains the residual: least distance / reach + weight * misfit."""
-        if len(near) == 1 or self.config.misfit == 0.0:
-            return near[0]
-        r_low = np.asarray(detector.config.r_low)
-
-        def cost(n: Nearest) -> float:
-            J_c = terms.J_contact(n.link, apply(terms.T_world_link[n.link], n.p_link))
-            return n.distance / self.config.reach + self.config.misfit * misfit(J_c, r, r_low)
-
-        return min(near, key=cost)

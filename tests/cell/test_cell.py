@@ -22,7 +22,7 @@ class Hash:
         self._sha = hashlib.sha256()
 
     def on_step(self, s: Snapshot) -> None:
-        parts = [s.state.q, s.state.tau, s.command.dq, s.residual, s.truth.F_world]
+        parts: list[np.ndarray] = [s.state.q, s.state.tau, s.command.dq, s.residual, s.truth.F_world]
         if s.nearest is not None:
             parts += [s.nearest.p_world, np.array([s.nearest.distance])]
         if s.fresh_frame and s.frame is not None:
@@ -77,6 +77,17 @@ def test_a_reset_is_a_fresh_start():
     assert digests[0] == digests[1]
 
 
+def test_a_reset_replays_the_script_from_its_very_beginning(tmp_path):
+    file = tmp_path / "early.toml"
+    file.write_text('duration = 1\n[[event]]\nt = 0\ntype = "MoveObstacle"\nname = "ball"\nposition = [0.0, 0.6, 0.3]\n')
+    cell, inbox = Cell(), Inbox(load(file))
+    run(cell, FreeRun(), inbox, [], until=20)
+    inbox.put(Reset())
+    run(cell, FreeRun(7), inbox, [], until=27)
+    assert [type(event) for _, event in cell.log] == [Reset, MoveObstacle]
+    assert any(body.present for body in cell.step().bodies)
+
+
 def test_an_event_that_cannot_be_is_refused_and_changes_nothing():
     cell, inbox = Cell(), Inbox()
     before = cell.config
@@ -118,7 +129,7 @@ def test_nan_from_the_robot_stops_it_and_keeps_the_last_second(monkeypatch):
     for _ in range(1200):
         cell.step()
     real = cell._robot._sensor.read
-    monkeypatch.setattr(cell._robot._sensor, "read", lambda tau, dq: np.full(7, np.nan))
+    monkeypatch.setattr(cell._robot._sensor, "read", lambda *_: np.full(7, np.nan))
     for _ in range(20):
         snapshot = cell.step()
     assert snapshot.command.mode is Mode.STOP
@@ -138,7 +149,7 @@ def test_nan_from_the_camera_stops_it(monkeypatch):
     for _ in range(300):
         cell.step()
 
-    def broken(tick: int):
+    def broken(_: int):
         raise SensorError("the depth image holds NaN; an invalid pixel is +inf")
 
     monkeypatch.setattr(cell._camera, "latest", broken)

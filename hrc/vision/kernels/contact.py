@@ -1,4 +1,4 @@
-"""From the distance map to one surface point of each link: the least rank alone, or the centre of the near-minimal patch around it.
+"""From the distance map to a surface point of each link: the least rank alone, or the centre of the patch around it.
 
 In front of the robot a whole patch of pixels has the same distance 0, so that the first of them says little; the
 weighted centroid of the patch does. Sums are in integers, hence equal on every device and in every order.
