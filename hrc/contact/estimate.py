@@ -24,6 +24,8 @@ class TrackerConfig(Parameters):
     """An obstacle farther from the robot than this does not explain a contact."""
     hold: float = param(0.2, low=0.0, high=5.0, unit="s")
     """A contact point that vision loses is kept this long."""
+    smoothing: float = param(0.1, low=0.0, high=2.0, unit="s")
+    """Time constant with which the point moves over its link: vision may jump from side to side of an obstacle."""
     switch: float = param(0.15, low=0.0, high=5.0, unit="s")
     """The contact moves to another link only when that one has been the nearest for this long."""
 
@@ -81,4 +83,11 @@ class ContactTracker:
         else:
             self._other = 0.0
         if best is not None:
-            self._point = _Point(best.link, best.p_link)
+            self._point = self._moved(best)
+
+    def _moved(self, n: Nearest) -> _Point:
+        """The new point; while a contact is felt, it moves there gradually."""
+        if not self._felt or self._point is None or self._point.link != n.link:
+            return _Point(n.link, n.p_link)
+        share = self._dt / (self._dt + self.config.smoothing)
+        return _Point(n.link, self._point.p_link + share * (n.p_link - self._point.p_link))
