@@ -74,11 +74,15 @@ def run(scenario: Annotated[Positional[str], arg(metavar="SCENARIO")], out: Path
 
 
 @commands.command
-def bench() -> None:
-    """Measure the perception cycle beside its brute-force reference."""
+def bench(device: str = "cpu") -> None:
+    """Measure the perception cycle beside its brute-force reference.
+
+    Args:
+        device: Where vision runs, cpu or cuda:0.
+    """
     from app.bench import bench as measure
 
-    measure()
+    measure(device)
 
 
 @commands.command

@@ -19,7 +19,7 @@ class Arrow:
     """An arrow with a label at its outer end. anchor: the corner of the label that stands there."""
 
     def __init__(self, server: viser.ViserServer, name: str, colour: tuple[int, int, int], radius: float,
-                 anchor: Literal["bottom-center", "top-center", "center-right"]) -> None:
+                 anchor: Literal["bottom-center", "top-center", "center-left"]) -> None:
         self._arrow = server.scene.add_arrows(
             f"/forces/{name}", np.zeros((1, 2, 3), np.float32), colour, shaft_radius=radius, head_radius=2.6 * radius,
             head_length=6.0 * radius, visible=False)
@@ -44,7 +44,7 @@ class ForceView:
         self._server = server
         self._estimate = Arrow(server, "estimate", ESTIMATE, 0.009, "bottom-center")
         self._truth = Arrow(server, "truth", TRUTH, 0.006, "top-center")
-        self._pull = Arrow(server, "pull", PULL, 0.004, "center-right")
+        self._pull = Arrow(server, "pull", PULL, 0.004, "center-left")
         self._contact = server.scene.add_icosphere("/forces/contact", radius=0.014, color=ESTIMATE, visible=False)
         self.show_forces = True
         self.stiffness, self.cap = 0.0, math.inf
@@ -68,7 +68,7 @@ class ForceView:
             else:
                 point, target = pull
                 force = min(self.cap, self.stiffness * float(np.linalg.norm(target - point)))
-                self._pull.show(point, target, f"pull {force:.0f} N", target)
+                self._pull.show(point, target, f"pull {force:.0f} N", point)  # apart from the labels of the forces
 
     def _draw(self, arrow: Arrow, point: Array, F_world: Array, name: str, outward: bool) -> None:
         force = math.hypot(*F_world)
