@@ -16,8 +16,16 @@ REACH = 5.0
 """No position in an event lies farther than this from the robot's base [m]."""
 
 
+def _text(name: str, value: Any) -> str:
+    if not isinstance(value, str):
+        raise EventError(f"{name} must be text, not {value!r}")
+    return value
+
+
 def _vector(name: str, value: Any, limit: float = REACH, length: int = 3) -> tuple[float, ...]:
     try:
+        if isinstance(value, str):
+            raise TypeError
         vector = tuple(float(x) for x in value)
     except (TypeError, ValueError):
         raise EventError(f"{name} must be {length} numbers, not {value!r}") from None
@@ -96,6 +104,7 @@ class MoveObstacle(Event):
     wxyz: tuple[float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
+        self._set("name", _text("name", self.name))
         self._set("position", _vector("position", self.position))
         if self.wxyz is not None:
             wxyz = _vector("wxyz", self.wxyz, 2.0, 4)
@@ -109,6 +118,9 @@ class RemoveObstacle(Event):
     """Take an obstacle out of the scene."""
 
     name: str
+
+    def __post_init__(self) -> None:
+        self._set("name", _text("name", self.name))
 
 
 @dataclass(frozen=True)
@@ -135,6 +147,7 @@ class Press(Event):
     aside: Vector | None = None
 
     def __post_init__(self) -> None:
+        self._set("name", _text("name", self.name))
         self._set("link", _link(self.link))
         self._set("point", _vector("point", self.point, 0.5))
         direction = _vector("direction", self.direction, 10.0)
@@ -156,12 +169,18 @@ class SetParameter(Event):
     key: str
     value: Any
 
+    def __post_init__(self) -> None:
+        self._set("key", _text("key", self.key))
+
 
 @dataclass(frozen=True)
 class Stop(Event):
     """Stand still and stay so until Resume. Not a safety function."""
 
     reason: str = "stopped by the user"
+
+    def __post_init__(self) -> None:
+        self._set("reason", _text("reason", self.reason))
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,12 @@ def frozen(values: ArrayLike, shape: tuple[int, ...], name: str = "array") -> Ar
     return array
 
 
+def read_only(*arrays: NDArray[Any]) -> None:
+    """Close these arrays for writing: many parts look at the same message."""
+    for array in arrays:
+        array.flags.writeable = False
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class RobotState:
     """What the robot measures.
@@ -115,6 +121,9 @@ class Contact:
     unobservable: Array
     F_gate: float = 0.0
 
+    def __post_init__(self) -> None:
+        read_only(self.p_world, self.p_link, self.J_c, self.F_world, self.unobservable)
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Command:
@@ -132,6 +141,9 @@ class Command:
     path_speed: float = 0.0
     reason: str = ""
 
+    def __post_init__(self) -> None:
+        read_only(self.dq, self.x, self.x_d, self.admittance_error)
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Truth:
@@ -147,6 +159,9 @@ class Truth:
     link: int
     tau_ext: Array
     visible: bool = False
+
+    def __post_init__(self) -> None:
+        read_only(self.F_world, self.p_world, self.tau_ext)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -168,7 +183,8 @@ class Snapshot:
 
     time: tick over the base rate [s]. fresh_control, fresh_frame: whether this very tick brought a new one.
     foreground: the depth frame without robot and environment. robot_image: the robot in that frame.
-    T_world_link [m]: poses of base and links (8, 4, 4) as measured. residual: r of Eq. (2) [N m] (7,).
+    T_world_link [m]: poses of base and links (8, 4, 4), as measured at the last control tick.
+    residual: r of Eq. (2) [N m] (7,).
     detected: Eq. (4) with hysteresis. events: those applied before this tick; refused: (event, reason).
     """
 
@@ -192,3 +208,6 @@ class Snapshot:
     fresh_frame: bool = False
     pull: "tuple[Array, Array] | None" = field(default=None)
     """The grabbed point and the point it is pulled to [m], in the world, while somebody pulls."""
+
+    def __post_init__(self) -> None:
+        read_only(self.T_world_link, self.residual)

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from hrc.errors import AssetError
+from hrc.errors import AssetError, ConfigError
 from hrc.geometry import skew
 from hrc.jacobian import Terms
 from hrc.messages import LINKS
@@ -150,12 +150,17 @@ class Dynamics:
         return pin.rnea(self.model, self._data, q, dq, ddq).copy()
 
     def solve_position(self, x: Array, q_start: Array, *, iterations: int = 200) -> Array:
-        """A configuration near q_start with its end effector at x [m] (Gauss-Newton with a small damping)."""
+        """A configuration near q_start with its end effector at x [m] (Gauss-Newton with a small damping).
+
+        Raises ConfigError when there is none within reach.
+        """
         q = np.array(q_start, dtype=float)
         for _ in range(iterations):
             _, at, J_spatial = self.kinematics(q)
             J = J_spatial[:3] - skew(at) @ J_spatial[3:]
             q += 0.5 * J.T @ np.linalg.solve(J @ J.T + 1e-6 * np.eye(3), x - at)
+        if not np.linalg.norm(x - self.kinematics(q)[1]) < 1e-3:
+            raise ConfigError(f"the end effector cannot reach {np.round(x, 3).tolist()} m from the posture it starts in")
         return q
 
 

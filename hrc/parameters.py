@@ -74,10 +74,10 @@ def _checked(field: dataclasses.Field[Any], value: Any) -> Any:
 
 def _number(name: str, value: Any, meta: Any, *, whole: bool) -> int | float:
     kind = "a whole number" if whole else "a number"
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or (whole and value != int(value)):
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ConfigError(f"{name} must be {kind}, not {value!r}")
     low, high, unit = meta.get("low", -math.inf), meta.get("high", math.inf), meta.get("unit", "")
-    if not math.isfinite(value) or not low <= value <= high:
+    if not math.isfinite(value) or not low <= value <= high or (whole and value != int(value)):
         raise ConfigError(f"{name} must be {kind} from {low:g} to {high:g}{' ' + unit if unit else ''}, not {value!r}")
     return int(value) if whole else float(value)
 

@@ -13,6 +13,7 @@ from hrc.control.reaction import Reaction
 from hrc.control.reference import Hexagon, PathFollower
 from hrc.errors import ConfigError, SensorError
 from hrc.events import Event, Reset, Resume, SetParameter, Stop
+from hrc.jacobian import Terms
 from hrc.messages import Command, Contact, Mode, Nearest, RobotState, Snapshot, Truth
 from hrc.model import Dynamics, perturbed, pinocchio_model
 from hrc.parameters import field_of, replaced
@@ -46,7 +47,8 @@ class Cell:
         events, refused = self._take_news()
         state = self._move()
         tick = self.tick = self.tick + 1
-        self._tau_sum += state.tau
+        if state.tick == tick:
+            self._tau_sum += state.tau
         fresh_frame = self._look(tick)
         if self._localize.due(tick) and self._localizer.foreground is not None:
             self._nearest.put(tick, self._localizer.localize(tick, self._dynamics.kinematics(state.q)[0]))
@@ -61,13 +63,27 @@ class Cell:
     def _decide(self, state: RobotState) -> None:
         """One control cycle: the whole paper in six lines."""
         terms = self._terms = self._dynamics.terms(state.q, state.dq)
-        self.residual = self._observer.update(terms.p, terms.Ct_dq, terms.g, self._mean_tau(), self._dt)  # (2)
+        self.residual = self._observe(state, terms)  # (2)
         self.detected = self._detector.update(self.residual)  # (4)
-        seen = self._nearest.get(self.tick) or ()  # (8)-(9)
+        seen = self._seen()  # (8)-(9)
         self.nearest = seen[0] if seen else None
         self.contact = self._tracker.update(  # (5), (10)
             self.residual, self._detector, seen, terms, keep=self._reaction.mode is Mode.ABORT)
         self.command = self._reaction.update(state.q, terms, self.residual, self.detected, self.contact)  # (11)-(15)
+
+    def _observe(self, state: RobotState, terms: Terms) -> Array:
+        """The residual; zero without a reading, and starting anew after one: what would be made of the gap is no contact."""
+        tau = self._mean_tau()
+        if state.tick != self.tick:
+            self._observer.reset()
+            return np.zeros(7)
+        return self._observer.update(terms.p, terms.Ct_dq, terms.g, tau, self._dt)
+
+    def _seen(self) -> tuple[Nearest, ...]:
+        """The latest localization, unless its image is so old that it says nothing about now: a camera may die."""
+        seen = self._nearest.get(self.tick) or ()
+        stale = self.config.tracker.stale * self.config.rates.base_hz
+        return seen if seen and self.tick - seen[0].stamp <= stale else ()
 
     def _look(self, tick: int) -> bool:
         """Expose when due; filter the robot out of a frame when it arrives, with q as it was at the frame's stamp."""
@@ -76,13 +92,13 @@ class Cell:
                 self._camera.expose(tick, self._robot.T_world_link(), self._robot.bodies())
                 self._poses[tick] = self._dynamics.kinematics(self._state.q)[0]
             frame = self._camera.latest(tick)
+            if frame is None or (self.frame is not None and frame.tick == self.frame.tick):
+                return False
+            self._localizer.filter(frame, self._poses[frame.tick])
         except SensorError as error:
             self._reaction.stop(f"camera: {error}")
             return False
-        if frame is None or (self.frame is not None and frame.tick == self.frame.tick):
-            return False
         self.frame = frame
-        self._localizer.filter(frame, self._poses[frame.tick])
         self._poses = {t: T for t, T in self._poses.items() if t > frame.tick}
         return True
 
@@ -90,7 +106,7 @@ class Cell:
         try:
             self._state = self._robot.step(self.command.dq)
         except SensorError as error:
-            # What cannot be measured cannot be acted on: the arm stops on its last good reading.
+            # What cannot be measured cannot be acted on: the arm stops on its last good reading, whose tick stays behind.
             self._reaction.stop(f"robot: {error}")
         return self._state
 
@@ -146,6 +162,9 @@ class Cell:
         path = PathFollower(Hexagon(config.task), config.task.speed)
         q_d = self._dynamics.solve_position(np.asarray(config.task.centre), np.deg2rad(config.task.posture_deg))
         q_start = self._dynamics.solve_position(path.x_d, q_d)
+        limits = self._robot.limits
+        if np.any(q_start <= limits.q_min) or np.any(q_start >= limits.q_max):
+            raise ConfigError(f"the path starts beyond the joint limits, at {np.rad2deg(q_start).round().tolist()} deg")
         self._robot.place(q_start)
 
         camera = Camera(config.camera)
@@ -154,13 +173,12 @@ class Cell:
         self._localizer.configure(config.vision)
         self._localizer.reset()
         self._camera = DepthCamera(camera, self.scene.environment, (*self.scene.bodies, HAND), config.sensor,
-                                   seed=config.seed, device=self.device)
+                                   seed=config.seed, latency=config.sensor.latency, device=self.device)
         self._camera_rate = Rate(rates.camera_hz, base)
         self._localize, self._control = Rate(rates.localize_hz, base), Rate(rates.control_hz, base)
         self._nearest: Delayed[tuple[Nearest, ...]] = Delayed(round(rates.localize_latency_s * base))
         self._poses: dict[int, Array] = {}
 
-        limits = self._robot.limits
         self._dt = 1.0 / rates.control_hz
         self._observer, self._detector = MomentumObserver(config.observer), Detector(config.observer)
         self._tracker = ContactTracker(config.tracker, config.force, self._dt)

@@ -1,6 +1,5 @@
 """Scenario files: a title, a duration, parameters, and events at their times; TOML, for people to copy and change."""
 
-import math
 import re
 import tomllib
 from dataclasses import dataclass
@@ -9,9 +8,12 @@ from typing import Any
 
 from hrc.config import Config
 from hrc.errors import ConfigError, EventError, ScenarioError, unknown
-from hrc.events import Event, from_dict
+from hrc.events import Event, Reset, from_dict
 from hrc.parameters import replaced
 from hrc.paths import assets
+
+LONGEST = 1e6
+"""No scenario lasts longer [s]."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ def _scenario(name: str, file: str, text: str, table: dict[str, Any]) -> Scenari
         if key not in known:
             raise ScenarioError(f"{file}, line {_line(text, key)}: {unknown('entry', key, known)}")
     duration = table.get("duration")
-    if isinstance(duration, bool) or not isinstance(duration, (int, float)) or not 0 < duration < 1e6:
+    if isinstance(duration, bool) or not isinstance(duration, (int, float)) or not 0 < duration < LONGEST:
         raise ScenarioError(f"{file}, line {_line(text, 'duration')}: duration must be seconds above 0, not {duration!r}")
     settings, listed = table.get("set", {}), table.get("event", [])
     if not isinstance(settings, dict) or not isinstance(listed, list) or not all(isinstance(e, dict) for e in listed):
@@ -82,12 +84,15 @@ def _events(file: str, text: str, listed: list[dict[str, Any]]) -> tuple[tuple[f
         where = f"{file}, line {lines[index]}" if index < len(lines) else f"{file}, event {index + 1}"
         values = dict(entry)
         time = values.pop("t", None)
-        if isinstance(time, bool) or not isinstance(time, (int, float)) or not 0 <= time < math.inf:
-            raise ScenarioError(f"{where}: an event needs its time t in seconds, from 0 on; it has {time!r}")
+        if isinstance(time, bool) or not isinstance(time, (int, float)) or not 0 <= time < LONGEST:
+            raise ScenarioError(f"{where}: an event needs its time t in seconds, from 0 to {LONGEST:g}; it has {time!r}")
         try:
-            events.append((float(time), from_dict(values)))
+            event = from_dict(values)
         except EventError as error:
             raise ScenarioError(f"{where}: {error}") from None
+        if isinstance(event, Reset):
+            raise ScenarioError(f"{where}: a scenario cannot reset itself: it would never end")
+        events.append((float(time), event))
     return tuple(sorted(events, key=lambda e: e[0]))
 
 

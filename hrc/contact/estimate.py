@@ -22,6 +22,10 @@ class TrackerConfig(Parameters):
 
     reach: float = param(0.1, low=0.0, high=0.5, unit="m")
     """An obstacle farther from the robot than this does not explain a contact."""
+    unexplained: float = param(0.5, low=0.0, high=1.0)
+    """A point is refused when it leaves more than this part of the residual unexplained, and enough to be a contact itself."""
+    stale: float = param(0.25, low=0.05, high=10.0, unit="s")
+    """A depth image older than this says nothing: contacts then count as not seen."""
     hold: float = param(0.2, low=0.0, high=5.0, unit="s")
     """A contact point that vision loses is kept this long."""
     smoothing: float = param(0.1, low=0.0, high=2.0, unit="s")
@@ -39,7 +43,7 @@ class _Point:
 
 
 class ContactTracker:
-    """Takes the nearest of the points that vision offers, keeps it on its link, and estimates the force there."""
+    """Takes the nearest of the points that vision offers and the residual allows, keeps it on its link, estimates the force."""
 
     def __init__(self, config: TrackerConfig, force: ForceConfig, dt: float) -> None:
         self.config = config
@@ -55,7 +59,11 @@ class ContactTracker:
         r: residual [N m] (7,); detector: what Eq. (4) says of it. seen: the latest localization, a point for each link near
         an obstacle. keep: hold on to the point while it is unseen, however long, because the controller still acts at it.
         """
-        self._follow(seen, keep=keep and detector.detected)
+        near = [n for n in seen if n.distance <= self.config.reach]
+        if detector.detected:
+            r_low = np.asarray(detector.config.r_low)
+            near = [n for n in near if self._explains(n, r, r_low, terms)]
+        self._follow(near, keep=keep and detector.detected)
         self._felt = detector.detected
         if not detector.detected or self._point is None:
             return None
@@ -66,8 +74,19 @@ class ContactTracker:
         gate = float(np.sqrt(F @ F)) / max(detector.margin, 1.0)
         return Contact(link, p_world, p_link, J_c, F, sigma_min, unobservable, gate)
 
-    def _follow(self, seen: Sequence[Nearest], *, keep: bool) -> None:
-        near = [n for n in seen if n.distance <= self.config.reach]
+    def _explains(self, n: Nearest, r: Array, r_low: Array, terms: Terms) -> bool:
+        """Whether a force at this point could have caused the residual, Eq. (3): what it leaves must not be a contact itself.
+
+        Else somebody who merely stands near the robot would be taken for the one who pushes it, out of sight.
+        """
+        J_c = terms.J_contact(n.link, apply(terms.T_world_link[n.link], n.p_link))
+        felt = r / r_low
+        U, S, _ = np.linalg.svd(J_c.T / r_low[:, None], full_matrices=False)
+        U = U[:, 1e-3 * S[0] < S]
+        left = felt - U @ (U.T @ felt)
+        return float(np.abs(left).max()) <= max(1.0, self.config.unexplained * float(np.abs(felt).max()))
+
+    def _follow(self, near: Sequence[Nearest], *, keep: bool) -> None:
         if not near:
             self._lost += self._dt
             self._other = 0.0

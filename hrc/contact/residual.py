@@ -25,7 +25,8 @@ class ObserverConfig(Parameters):
 class MomentumObserver:
     """r = K_I (p - integral of (tau + C^T dq - g + r)), Eq. (2): a first-order filter of the contact torque.
 
-    Discretized by the trapezoidal rule in (C^T dq - g) and implicitly in r, so it is stable at every K_I dt.
+    Discretized by the trapezoidal rule in (C^T dq - g) and implicitly in r, so it is stable at every K_I dt; written as a
+    recursion in r, so that it does not jump when K_I changes.
     """
 
     def __init__(self, config: ObserverConfig) -> None:
@@ -34,8 +35,8 @@ class MomentumObserver:
 
     def reset(self) -> None:
         """Forget everything; the next update starts from its momentum with r = 0."""
-        self._integral: Array | None = None
-        self._p0 = np.zeros(7)
+        self._r = np.zeros(7)
+        self._p: Array | None = None
         self._beta = np.zeros(7)
 
     def update(self, p: Array, Ct_dq: Array, g: Array, tau: Array, dt: float) -> Array:
@@ -45,15 +46,12 @@ class MomentumObserver:
         dt: time since then [s].
         """
         beta = Ct_dq - g
-        if self._integral is None:
-            self._integral, self._p0, self._beta = np.zeros(7), p, beta
-            return np.zeros(7)
-        gain = self.config.k_i
-        self._integral = self._integral + dt * (tau + 0.5 * (self._beta + beta))
-        r = gain / (1.0 + gain * dt) * (p - self._p0 - self._integral)
-        self._integral = self._integral + dt * r
-        self._beta = beta
-        return r
+        if self._p is not None:
+            gain = self.config.k_i
+            unexplained = p - self._p - dt * (tau + 0.5 * (self._beta + beta))
+            self._r = (self._r + gain * unexplained) / (1.0 + gain * dt)
+        self._p, self._beta = p, beta
+        return self._r
 
 
 class Detector:

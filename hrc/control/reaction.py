@@ -1,7 +1,7 @@
 """The reaction to contact: Eq. (13) as a state machine over the laws, with its transitions and limits.
 
     IDLE --|F| > F_relax--> RELAX --|F| > F_abort--> ABORT --contact gone, error recovered--> IDLE
-    any of IDLE, RELAX --contact without a point--> UNSEEN --contact gone--> IDLE
+    any of IDLE, RELAX --contact without a point--> UNSEEN --contact gone--> IDLE, wary for a while
     any --stop()--> STOP --resume()--> IDLE
 """
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hrc.control import laws
 from hrc.control.limits import limited, velocity_bounds
 from hrc.control.reference import PathFollower
+from hrc.errors import ConfigError
 from hrc.geometry import apply
 from hrc.jacobian import Terms
 from hrc.messages import Command, Contact, Mode
@@ -21,7 +22,10 @@ from hrc.parameters import Parameters, param
 Array = NDArray[np.float64]
 GATE_MARGIN = 1.3
 """RELAX yields down to this many times the force at which detection would end."""
+PAPER_T_C = 0.005
+"""T_c of the paper [s], for which lambda is given."""
 ZERO3, ZERO7 = np.zeros(3), np.zeros(7)
+ZERO3.flags.writeable = ZERO7.flags.writeable = False
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ class ReactionConfig(Parameters):
     k_p: float = param(10.0, low=0.0, high=50.0, unit="1/s")
     """K_p: feedback on the end effector's position, Eq. (11)."""
     lam: float = param(0.8, low=0.0, high=0.99)
-    """lambda: forgetting factor of the null-space velocity, Eq. (15)."""
+    """lambda: forgetting factor of the null-space velocity over 5 ms, Eq. (15)."""
     n_s: int = param(20, low=1, high=400)
     """N_s: control cycles over which the command is blended when the task is abandoned or resumed, Eq. (14)."""
     law: str = param("latched", options=("latched", "printed"))
@@ -72,10 +76,20 @@ class ReactionConfig(Parameters):
     """A contact without a point for this long starts the reflex; a camera that is two frames late needs 0.1 s to show it."""
     unseen_hold: float = param(0.3, low=0.0, high=5.0, unit="s")
     """The reflex ends when no such contact was felt for this long."""
+    v_wary: float = param(0.05, low=0.005, high=1.0, unit="m/s")
+    """After a contact that was not seen, the end effector returns to its path no faster than this."""
+    wary_time: float = param(3.0, low=0.0, high=60.0, unit="s")
+    """For how long after such a contact the arm moves like that, and the reflex answers a next one at once."""
     resume_time: float = param(0.5, low=0.01, high=10.0, unit="s")
     """The path speed rises from 0 to 1 over this time when the task is resumed."""
     floor: float = param(0.08, low=-1.0, high=1.0, unit="m")
     """While the task is abandoned, the end effector is kept above this height in the null space of the contact."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.f_release <= self.f_relax < self.f_abort:
+            raise ConfigError(f"forces must rise from f_release ({self.f_release:g} N) to f_relax ({self.f_relax:g} N) to "
+                              f"f_abort ({self.f_abort:g} N)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +126,10 @@ class Reaction:
         self.dq = ZERO7
         self._q_d, self._bounds, self._dt = q_d, bounds, dt
         self._latch: _Latch | None = None
-        self._blend, self._dq_switch = config.n_s, ZERO7
+        self._blend, self._blend_end, self._dq_switch = 0, 0, ZERO7
         self._ramp, self._kept = 0.0, 1.0
         self._quiet = 0.0
-        self._unseen = self._felt = 0.0
+        self._unseen = self._unfelt = self._wary = 0.0
         self._reason = ""
 
     def stop(self, reason: str) -> None:
@@ -139,10 +153,13 @@ class Reaction:
         x_d, error, path_speed = self.path.x_d, ZERO3, 0.0
         if self.mode is Mode.STOP:
             wanted = _Velocity(ZERO7, ZERO7)
-        elif self.mode is Mode.UNSEEN:
-            wanted = _Velocity(ZERO7, self.config.k_reflex * residual)
         elif self.mode is Mode.ABORT and self._latch is not None:
             wanted, error = self._abandon(q, terms, F, self._latch)
+            if detected and contact is None:
+                # The spring back to x_cd would press into whatever is felt there without being seen.
+                wanted = self._reflex(residual)
+        elif self.mode is Mode.UNSEEN:
+            wanted = self._reflex(residual)
         else:
             wanted, path_speed = self._follow(q, terms, contact)
         self._issue(q, self._blended(wanted))
@@ -154,10 +171,11 @@ class Reaction:
     def _decide(self, q: Array, terms: Terms, detected: bool, contact: Contact | None, f: float) -> None:
         """The next mode, from the force's norm f [N]."""
         c, dt = self.config, self._dt
-        self._quiet = self._quiet + dt if f <= c.f_release else 0.0
         unseen = detected and contact is None
+        self._quiet = self._quiet + dt if f <= c.f_release and not unseen else 0.0
         self._unseen = self._unseen + dt if unseen else 0.0
-        self._felt = 0.0 if unseen else self._felt + dt
+        self._unfelt = 0.0 if unseen else self._unfelt + dt
+        self._wary = max(0.0, self._wary - dt)
         if self.mode is Mode.STOP:
             return
         if c.law == "printed":
@@ -170,9 +188,10 @@ class Reaction:
         elif contact is not None and f > c.f_abort:
             self._abort(q, terms, contact)
         elif self.mode is Mode.UNSEEN:
-            if self._felt >= c.unseen_hold or contact is not None:
+            self._wary = c.wary_time
+            if self._unfelt >= c.unseen_hold or f > c.f_relax:
                 self._enter(Mode.IDLE)
-        elif self._unseen > c.unseen_after:
+        elif self._unseen > (c.unseen_after if self._wary == 0.0 else 0.0):
             self._enter(Mode.UNSEEN)
         elif f > c.f_relax:
             self.mode = Mode.RELAX  # no blend: it would blend the task, too
@@ -200,11 +219,11 @@ class Reaction:
     def _enter(self, mode: Mode) -> None:
         self.mode = mode
         self._ramp = 0.0
-        self._quiet = self._unseen = self._felt = 0.0
+        self._quiet = self._unseen = self._unfelt = 0.0
         self._begin_blend()
 
     def _begin_blend(self) -> None:
-        self._blend, self._dq_switch = 0, self.dq
+        self._blend, self._blend_end, self._dq_switch = 0, self.config.n_s, self.dq
 
     # -- velocities -------------------------------------------------------------------------------------------------
 
@@ -217,11 +236,12 @@ class Reaction:
         near = float(np.clip(1.5 - np.sqrt(e @ e) / 0.02, 0.0, 1.0))
         path_speed = self._ramp * near * max(0.05, self._kept)
         J = laws.inverse(terms.J)
-        task = laws.task_velocity(J.pinv, self.path.advance(path_speed, self._dt), e, c.k_p, c.v_reconnect)  # (11)
+        v_reconnect = c.v_reconnect if self._wary == 0.0 else min(c.v_wary, c.v_reconnect)
+        task = laws.task_velocity(J.pinv, self.path.advance(path_speed, self._dt), e, c.k_p, v_reconnect)  # (11)
         null = J.projector @ laws.posture_velocity(q, self._q_d, c.k_0)  # (12), first branch
         if self.mode is Mode.RELAX and contact is not None:  # (12), second branch
             null = self._yielding(J.projector, contact, null)
-        null = laws.with_forgetting(null, J.projector, self.dq, c.lam, unit_gain=c.law == "latched")  # (15)
+        null = laws.with_forgetting(null, J.projector, self.dq, self._lam, unit_gain=c.law == "latched")  # (15)
         if self.mode is Mode.RELAX and contact is not None and c.relax_form == "yielding":
             null = laws.not_into_the_push(task, null, contact.J_c, J.projector, contact.F_world)
         return _Velocity(task, null), path_speed
@@ -247,10 +267,19 @@ class Reaction:
         task = J_c.pinv @ laws.admittance_velocity(F, error, c.k_a, c.k_e, c.v_contact)  # (6)
         null = J_c.projector @ (laws.posture_velocity(q, latch.q_cd, c.k_n) + self._floor_guard(terms))  # (7)
         if c.law == "printed":
-            null = laws.with_forgetting(null, laws.inverse(terms.J).projector, self.dq, c.lam, unit_gain=False)
+            null = laws.with_forgetting(null, laws.inverse(terms.J).projector, self.dq, self._lam, unit_gain=False)
         else:
-            null = laws.with_forgetting(null, J_c.projector, self.dq, c.lam, unit_gain=True)  # (15) with P_c
+            null = laws.with_forgetting(null, J_c.projector, self.dq, self._lam, unit_gain=True)  # (15) with P_c
         return _Velocity(task, null), error
+
+    def _reflex(self, residual: Array) -> _Velocity:
+        """Yield in the joints, dq = k r: what can be done about a contact without knowing its place."""
+        return _Velocity(ZERO7, self.config.k_reflex * residual)
+
+    @property
+    def _lam(self) -> float:
+        """lambda of this control period: the same memory in seconds as the paper's at its T_c."""
+        return self.config.lam ** (self._dt / PAPER_T_C)
 
     def _floor_guard(self, terms: Terms) -> Array:
         """Raises the end effector when it sinks below the floor height: nothing in Eq. (7) holds it up."""
@@ -262,16 +291,19 @@ class Reaction:
 
     def _blended(self, wanted: _Velocity) -> _Velocity:
         """Eq. (14), at the beginning and at the end of an abandoned task."""
-        if self._blend >= self.config.n_s or self.mode is Mode.STOP:
+        if self._blend >= self._blend_end or self.mode is Mode.STOP:
             return wanted
         self._blend += 1
-        a = laws.blend(self._blend, self.config.n_s)
+        a = laws.blend(self._blend, self._blend_end)
         return _Velocity(a * wanted.task, a * wanted.null + (1.0 - a) * self._dq_switch)
 
     def _issue(self, q: Array, wanted: _Velocity) -> None:
         """Apply the limits; what is issued is what Eq. (15) remembers."""
         q_min, q_max, dq_max = self._bounds
         bounds = velocity_bounds(q, q_min, q_max, dq_max)
+        if not np.isfinite(wanted.task.sum() + wanted.null.sum()):
+            self.stop("the command is not finite")
+            wanted = _Velocity(ZERO7, ZERO7)
         result = limited(wanted.task, wanted.null, bounds, self.dq, self.config.ddq_max * self._dt)
         self._kept = result.task
         self.dq = result.dq

@@ -37,6 +37,8 @@ class SensorConfig(Parameters):
     """Nothing nearer is measured."""
     farthest: float = param(4.5, low=0.1, high=100.0, unit="m")
     """Nothing farther is measured."""
+    latency: int = param(2, low=0, high=30, live=False)
+    """Frames between exposure and delivery."""
     extrinsic_rotation_deg: float = param(0.25, low=0.0, high=10.0, unit="deg", live=False)
     """Error of the camera's calibrated orientation, about an axis drawn from the seed."""
     extrinsic_translation: float = param(0.005, low=0.0, high=0.1, unit="m", live=False)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hrc.errors import EventError, unknown
 from hrc.events import Event, MoveObstacle, Press, RemoveObstacle
-from hrc.geometry import rotation_from_quaternion, transform
+from hrc.geometry import quaternion_from_rotation, rotation_from_quaternion, transform
 from hrc.messages import Body
 from hrc.parameters import Parameters, param
 from hrc.scene import BodySpec
@@ -58,12 +58,11 @@ class Drive:
 class Drag:
     """Goes for a fixed target at limited speed, and never winds up: the setpoint stays within cap / stiffness."""
 
-    def __init__(self, position: Array, target: Array, config: ObstacleConfig) -> None:
-        self._setpoint, self.target, self._config = position.copy(), target, config
+    def __init__(self, position: Array, target: Array) -> None:
+        self._setpoint, self.target = position.copy(), target
 
-    def drive(self, position: Array, _: LinkSurface, dt: float) -> Drive:
+    def drive(self, position: Array, c: ObstacleConfig, dt: float) -> Drive:
         """The drive for this tick."""
-        c = self._config
         step = self.target - self._setpoint
         distance = float(np.linalg.norm(step))
         velocity = step / distance * min(c.speed, distance / dt) if distance > 1e-9 else np.zeros(3)
@@ -91,21 +90,22 @@ class Pressing:
         self._point = np.asarray(press.point)
         self._standoff = robot.reach(press.link, self._point, -self._n) + extent
         self._from = np.asarray(press.aside) if press.aside is not None else -self.GAP * self._n
+        self._robot = robot
         self._t = 0.0
-        self._previous = self.start(robot)
+        self._previous = self.start()
         self._touch = self._previous
 
-    def start(self, robot: LinkSurface) -> Array:
+    def start(self) -> Array:
         """Where the body appears [m] (3,)."""
-        return robot.point(self._press.link, self._point) - self._n * self._standoff + self._from
+        return self._robot.point(self._press.link, self._point) - self._n * self._standoff + self._from
 
-    def drive(self, position: Array, robot: LinkSurface, dt: float) -> Drive | None:  # noqa: ARG002
+    def drive(self, _: Array, __: ObstacleConfig, dt: float) -> Drive | None:
         """The drive for this tick, or None when it has withdrawn."""
         p = self._press
         self._t += dt
         if self._t < p.approach:
             left = 1.0 - self._t / p.approach
-            self._touch = robot.point(p.link, self._point) - self._n * self._standoff
+            self._touch = self._robot.point(p.link, self._point) - self._n * self._standoff
             target = self._touch + self._from * left
         else:
             t, pressing = self._t - p.approach, p.depth / p.speed
@@ -151,12 +151,12 @@ class Obstacles:
                 self._park(obstacle)
             elif isinstance(event, Press):
                 pressing = Pressing(event, obstacle.spec, robot)
-                self._appear(obstacle, pressing.start(robot))
+                self._appear(obstacle, pressing.start(), obstacle.R)
                 obstacle.mover = pressing
             else:
                 self._move(obstacle, event)
 
-    def step(self, robot: LinkSurface, dt: float) -> None:
+    def step(self, dt: float) -> None:
         """Set every drive's force for the coming tick."""
         for obstacle in self._all.values():
             force = self._data.qfrc_applied[self._dofs(obstacle)]
@@ -164,7 +164,7 @@ class Obstacles:
             if obstacle.mover is None:
                 continue
             position = self._position(obstacle)
-            drive = obstacle.mover.drive(position, robot, dt)
+            drive = obstacle.mover.drive(position, self.config, dt)
             if drive is None:
                 self._park(obstacle)
                 continue
@@ -180,25 +180,32 @@ class Obstacles:
 
     def _move(self, obstacle: _Obstacle, event: MoveObstacle) -> None:
         target = np.asarray(event.position)
-        if event.wxyz is not None:
-            obstacle.R = rotation_from_quaternion(event.wxyz)
-            self._model.geom_quat[self._model.geom(obstacle.spec.name).id] = event.wxyz
+        R = rotation_from_quaternion(event.wxyz) if event.wxyz is not None else obstacle.R
         if not obstacle.present:
-            self._appear(obstacle, target)
+            self._appear(obstacle, target, R)
+        elif not np.array_equal(R, obstacle.R):
+            self._appear(obstacle, self._position(obstacle), R)
         if isinstance(obstacle.mover, Drag):
             obstacle.mover.target = target
         else:
-            obstacle.mover = Drag(self._position(obstacle), target, self.config)
+            obstacle.mover = Drag(self._position(obstacle), target)
 
-    def _appear(self, obstacle: _Obstacle, position: Array) -> None:
-        before = self._position(obstacle).copy()
+    def _appear(self, obstacle: _Obstacle, position: Array, R: Array) -> None:
+        """Put the body at this pose at once; EventError, with nothing changed, if the robot is in the way."""
+        before = self._data.qpos[self._dofs(obstacle)].copy(), self._data.qvel[self._dofs(obstacle)].copy(), obstacle.R
         self._put(obstacle, position)
+        self._turn(obstacle, R)
         gap = self._room(obstacle)
         if gap < ROOM:
-            self._put(obstacle, before)
+            self._data.qpos[self._dofs(obstacle)], self._data.qvel[self._dofs(obstacle)] = before[:2]
+            self._turn(obstacle, before[2])
             raise EventError(f'no room for "{obstacle.spec.name}" there: {max(gap, 0) * 1e3:.0f} mm from the robot, '
                              f"at least {ROOM * 1e3:.0f} mm are needed")
         obstacle.present = True
+
+    def _turn(self, obstacle: _Obstacle, R: Array) -> None:
+        obstacle.R = R
+        self._model.geom_quat[self._model.geom(obstacle.spec.name).id] = quaternion_from_rotation(R)
 
     def _room(self, obstacle: _Obstacle) -> float:
         """Distance to the nearest collision geom of the robot [m], up to 0.2 m."""

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from hrc.errors import SensorError
 from hrc.events import Event, MoveObstacle, Press, Pull, Push, Release, RemoveObstacle
 from hrc.messages import LINKS, Body, RobotState, Truth
 from hrc.model import Dynamics, joint_limits, pinocchio_model
@@ -22,6 +23,10 @@ from hrc.sim.sensor import TorqueSensor
 from hrc.sim.world import compile_world
 
 Array = NDArray[np.float64]
+
+
+DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+"""MuJoCo's warnings after which it has put the state back to zero."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +85,10 @@ class SimulatedRobot:
         q, v = data.qpos[:7].copy(), data.qvel[:7].copy()
         data.ctrl[:7] = self._servo(q, v, dq)
         data.qfrc_applied[:7] = self.grip.torque()
-        self.obstacles.step(self, self._dt)
+        self.obstacles.step(self._dt)
         mujoco.mj_step(self.model, data)
+        if any(data.warning[kind].number for kind in DIVERGED):
+            raise SensorError("the simulation has diverged; reset it")
         self._tick += 1
         q_now, v_now = data.qpos[:7], data.qvel[:7]
         # On the link side of the gear: what the motor gives, less what it takes to turn itself.
@@ -90,7 +97,7 @@ class SimulatedRobot:
 
     def _servo(self, q: Array, v: Array, dq: Array) -> Array:
         """Computed torque [N m] (7,) towards the command, ramped over one control period."""
-        if dq is not self._command:
+        if dq is not self._command:  # the controller issues a new array every period
             self._previous, self._command, self._since = self._command, dq, 0
         self._since += 1
         share = min(1.0, self._since / self._ramp_ticks)

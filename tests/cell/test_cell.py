@@ -10,7 +10,7 @@ from hrc.cell.pace import FreeRun, RealTime
 from hrc.cell.run import Inbox, run
 from hrc.cell.scenario import load
 from hrc.config import PRESETS, Config
-from hrc.errors import ConfigError, DeviceError, HrcError, SensorError
+from hrc.errors import ConfigError, DeviceError, HrcError
 from hrc.events import MoveObstacle, Pull, Release, Reset, Resume, SetParameter, Stop
 from hrc.messages import Mode, Snapshot
 
@@ -139,24 +139,49 @@ def test_nan_from_the_robot_stops_it_and_keeps_the_last_second(monkeypatch):
     assert len(cell.history) == 200
     monkeypatch.setattr(cell._robot._sensor, "read", real)
     cell.apply(Resume())
-    for _ in range(200):
+    worst = 0.0
+    for _ in range(400):
         snapshot = cell.step()
-    assert snapshot.command.mode is not Mode.STOP
+        worst = max(worst, float(np.abs(snapshot.residual / np.array(cell.config.observer.r_low)).max()))
+    assert snapshot.command.mode is Mode.IDLE
+    assert worst < 1.0, "the gap must not look like a contact"
 
 
 def test_nan_from_the_camera_stops_it(monkeypatch):
     cell = Cell()
     for _ in range(300):
         cell.step()
+    real = cell._camera._noise.image
 
-    def broken(_: int):
-        raise SensorError("the depth image holds NaN; an invalid pixel is +inf")
+    def broken():
+        image = real()
+        image[100, 100] = np.nan
+        return image
 
-    monkeypatch.setattr(cell._camera, "latest", broken)
-    for _ in range(20):
+    monkeypatch.setattr(cell._camera._noise, "image", broken)
+    for _ in range(200):
         snapshot = cell.step()
     assert snapshot.command.mode is Mode.STOP
     assert snapshot.command.reason.startswith("camera: the depth image holds NaN")
+
+
+def test_a_contact_near_a_dead_camera_counts_as_not_seen(monkeypatch):
+    """Frames stop coming: what the last one showed says nothing any more."""
+    cell = Cell()
+    cell.apply(MoveObstacle("ball", (-0.2, -0.7, 0.6)))
+    for _ in range(400):
+        cell.step()
+    cell.apply(MoveObstacle("ball", (-0.2, 0.3, 0.6)))
+    monkeypatch.setattr(cell._camera, "latest", lambda _: None)
+    modes = {cell.step().command.mode for _ in range(3000)}
+    assert Mode.UNSEEN in modes
+    assert Mode.RELAX not in modes
+
+
+def test_a_path_out_of_reach_is_refused():
+    config = Config()
+    with pytest.raises(ConfigError, match="cannot reach"):
+        Cell(config.replace(task=config.task.replace(centre=(1.2, 1.2, 1.2))))
 
 
 def test_stop_and_resume_are_events():

@@ -38,6 +38,17 @@ def test_it_is_stable_at_a_gain_that_explicit_euler_is_not():
     np.testing.assert_allclose(r, 1.0, atol=1e-6)
 
 
+def test_a_gain_changed_while_running_does_not_jump():
+    observer, dt, tau_c = MomentumObserver(ObserverConfig(k_i=25.0)), 0.005, np.full(7, 7.0)
+    r = np.zeros(7)
+    for k in range(400):
+        if k == 200:
+            observer.config = ObserverConfig(k_i=200.0)
+        r = observer.update(tau_c * k * dt, np.zeros(7), np.zeros(7), np.zeros(7), dt)
+        assert r.max() <= 7.0 + 1e-9
+    np.testing.assert_allclose(r, tau_c, atol=1e-6)
+
+
 def test_detection_has_hysteresis():
     config = ObserverConfig(off=0.5)
     detector, r_low = Detector(config), config.r_low[3]

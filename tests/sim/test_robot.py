@@ -154,6 +154,29 @@ def test_no_obstacle_appears_inside_the_robot():
         plant.apply(RemoveObstacle("bal"))
 
 
+def test_a_refused_turn_leaves_everything_as_it_was():
+    """A body beside the arm cannot be turned into it: the force would know no cap."""
+    plant = robot()
+    forearm = plant.point(5, np.array([0.0, 0.0, -0.15]))
+    plant.apply(MoveObstacle("slab", near(forearm, 0.0, 0.17, 0.0)))
+    before = next(b for b in plant.bodies() if b.name == "slab").T_world_body
+    with pytest.raises(EventError, match="no room"):
+        plant.apply(MoveObstacle("slab", near(forearm, 0.0, 0.17, 0.0), (0.7071, 0.0, 0.0, 0.7071)))
+    after = next(b for b in plant.bodies() if b.name == "slab").T_world_body
+    np.testing.assert_array_equal(before, after)
+
+
+def test_a_live_speed_reaches_an_obstacle_on_its_way():
+    plant = robot()
+    plant.apply(MoveObstacle("ball", (0.0, 0.8, 0.3)))
+    plant.apply(MoveObstacle("ball", (0.0, -0.8, 0.3)))
+    plant.obstacles.config = ObstacleConfig(speed=0.05)
+    for _ in range(500):
+        plant.step(np.zeros(7))
+    ball = next(b for b in plant.bodies() if b.name == "ball")
+    assert ball.T_world_body[1, 3] > 0.75
+
+
 def test_a_pressing_obstacle_comes_presses_and_goes():
     plant = robot()
     plant.apply(Press("hand", 3, (0.0, 0.0, -0.07), (0.0, 1.0, 0.0), speed=0.12, depth=0.08, hold=0.5, stiffness=200.0))
