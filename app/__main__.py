@@ -30,7 +30,7 @@ def serve(scenario: str = "free", host: str = "127.0.0.1", port: int = 8080, dev
         host: Address to listen on.
         port: Port to listen on.
         device: Compute device of the vision, cpu or cuda:0.
-        settings: Parameters to change, as control.F_abort=30.
+        settings: Parameters to change, as control.f_abort=30.
         seed: Seed of all noise.
         open_browser: Open the page in the default browser.
     """
@@ -53,7 +53,7 @@ def run(scenario: Annotated[Positional[str], arg(metavar="SCENARIO")], out: Path
         out: Folder to write; it must not exist.
         seed: Seed of all noise.
         duration: Simulated seconds to run; the scenario's own by default.
-        settings: Parameters to change, as control.F_abort=30.
+        settings: Parameters to change, as control.f_abort=30.
         preset: Values to start from: default; paper, those printed in the paper; literal, its laws to the letter;
             ideal, a robot without noise or model error.
         device: Compute device of the vision, cpu or cuda:0.
@@ -115,6 +115,8 @@ def _print_run(figures: dict[str, Any], out: Path) -> None:
     sizes = figures["sizes_bytes"]
     for start, end, mode in figures["states"]:
         print(f"{start:8.3f} to {end:8.3f} s  {mode}")
+    for reason in figures["refused"]:
+        print(f"refused: {reason}")
     if figures["interrupted"]:
         print(f"interrupted after {figures['simulated_s']:.1f} s; the folder holds that part")
     recording = f", session.rrd {sizes['session.rrd'] / 1e6:.1f} MB" if "session.rrd" in sizes else ""

@@ -20,9 +20,10 @@ from hrc.cell.cell import Cell
 from hrc.cell.run import Inbox, Observer, run
 from hrc.config import Config
 from hrc.errors import HrcError
-from hrc.events import Reset, to_dict
+from hrc.events import to_dict
 from hrc.messages import Snapshot
 from hrc.parameters import keys
+from hrc.vision.kernels import check_device
 
 if TYPE_CHECKING:
     from app.record.recorder import Depth, Recorder
@@ -84,7 +85,8 @@ def execute(job: Job) -> dict[str, Any]:
     config = settings.configured(job.preset, script, job.settings, job.seed)
     end = _end(job, script, config.rates.base_hz)
     output.check(job.out, overwrite=job.overwrite)
-    _say(job, "building the cell; kernels compile the first time (about 30 s)")
+    check_device(job.device)
+    _say(job, "building the cell (the very first time its kernels compile, about 5 s) ...")
     cell = Cell(config, job.device)
     about = {"scenario": script.name, "preset": job.preset, "seed": config.seed, "device": job.device, **versions()}
     table, refusals = SignalTable(), _Refusals()
@@ -100,7 +102,8 @@ def execute(job: Job) -> dict[str, Any]:
         columns = table.columns()
         figures = {**about, "simulated_s": cell.tick / config.rates.base_hz, "interrupted": interrupted,
                    "recording_problem": problem, **metrics.compute(columns),
-                   "counts": _counts(cell, table, refusals, recorder)}
+                   "counts": _counts(cell, table, refusals, recorder),
+                   "refused": [f"{to_dict(event)['type']}: {reason}" for _, event, reason in refusals.found]}
         write_parquet(folder / "signals.parquet", columns, about)
         _write_json(folder / output.MARK, {**about, "parameters": keys(config)})
         _write_events(folder / "events.jsonl", cell, refusals)
@@ -117,8 +120,6 @@ def _end(job: Job, script: scenario.Scenario, base_hz: int) -> int:
     duration = script.duration if job.duration is None else job.duration
     if not 1.0 / base_hz <= duration <= MAX_DURATION:
         raise HrcError(f"the duration must be {1.0 / base_hz:g} to {MAX_DURATION:g} s, not {duration!r}")
-    if any(isinstance(event, Reset) for _, event in script.events):
-        raise HrcError(f"scenario {script.name} holds a Reset: without a screen it would run for ever")
     return round(duration * base_hz)
 
 

@@ -66,8 +66,8 @@ def firm(columns: Columns) -> Mask:
 
 def _localisation(columns: Columns) -> dict[str, Any]:
     truth = columns["contact_link_true"]
-    judged = firm(columns)
-    return {**_places(columns, judged),
+    judged, hidden_too = firm(columns), np.linalg.norm(columns["force_true"], axis=1) > FIRM
+    return {**_places(columns, judged), "ticks_firm": int(hidden_too.sum()), "any": _places(columns, hidden_too),
             "by_link": {int(link): _places(columns, judged & (truth == link)) for link in np.unique(truth[judged])}}
 
 

@@ -18,7 +18,7 @@ def parse(setting: str) -> tuple[str, Any]:
     """Key and value of `key=value`; the value is TOML, and a bare word is a string. Raises ConfigError."""
     key, equals, text = (part.strip() for part in setting.partition("="))
     if not key or not equals or not text:
-        raise ConfigError(f'malformed setting "{setting}"; write key=value, as in control.F_abort=30')
+        raise ConfigError(f'malformed setting "{setting}"; write key=value, as in control.f_abort=30')
     try:
         table = tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError:

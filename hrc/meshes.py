@@ -121,4 +121,6 @@ def _load(path: Path) -> Mesh:
     except (OSError, ValueError) as error:
         raise AssetError(f"cannot read {path}: {error}; `python assets/lwr/make_meshes.py` writes it anew") from None
     mesh.merge_vertices()
+    if not (len(mesh.faces) and mesh.is_watertight):
+        raise AssetError(f"{path} is no closed surface; `python assets/lwr/make_meshes.py` writes it anew")
     return smooth(mesh)

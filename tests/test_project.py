@@ -1,6 +1,7 @@
 """The project around the code: locks, what tracked files may say, the wheel, the README's example, start.py."""
 
 import ast
+import importlib
 import importlib.metadata
 import os
 import re
@@ -193,3 +194,18 @@ def test_start_leaves_a_folder_that_is_no_environment_alone(tmp_path: Path) -> N
     assert done.returncode != 0
     assert "left alone" in done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_docs_name_what_is_there() -> None:
+    """Every path, test and dotted name of the library that stands in backticks in docs/paper.md exists."""
+    text = (ROOT / "docs" / "paper.md").read_text()
+    named = set(re.findall(r"`([^`\n]+)`", text))
+    for path in (n for n in named if re.fullmatch(r"(hrc|app|tests|assets)/[\w/.]+", n)):
+        assert (ROOT / path).exists(), path
+    for name in (n for n in named if re.fullmatch(r"hrc(\.\w+)+", n)):
+        module, parts = name.split("."), []
+        while not (ROOT / Path(*module)).with_suffix(".py").is_file() and not (ROOT / Path(*module)).is_dir():
+            parts.insert(0, module.pop())
+        found = importlib.import_module(".".join(module))
+        for part in parts:
+            found = getattr(found, part)

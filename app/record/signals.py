@@ -52,7 +52,7 @@ SIGNALS = (
     Signal("distance_min", 1, "m", "distance of the robot to the nearest obstacle; NaN with none in sight"),
     Signal("sigma_min", 1, "m", "smallest singular value of the contact Jacobian, Eq. (10); NaN without a contact"),
     Signal("admittance_error", 3, "m", "admittance error x_cd - x_c; zero outside ABORT"),
-    Signal("state", 1, "1", "mode of the reaction", "mode"),
+    Signal("state", 1, "text", "mode of the reaction", "mode"),
 )
 
 

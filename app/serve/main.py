@@ -24,6 +24,7 @@ from app.serve.session import Session
 from app.serve.signals import SignalView
 from hrc.cell import scenario as scenarios
 from hrc.scene import load_scene
+from hrc.vision.kernels import check_device
 
 LOGO = TitlebarConfig(buttons=None, image=TitlebarImage(
     image_url_light="/app/logo.svg", image_url_dark=None, image_alt="Elbowroom", href=None))
@@ -38,8 +39,9 @@ class Page:
                  say: Callable[[str], None] = print) -> None:
         """Bind the port and build the page; the cell starts with `start`.
 
-        Raises ScenarioError or ConfigError for what cannot be run, PageError for an address that cannot be served.
+        Raises ScenarioError, ConfigError or DeviceError for what cannot be run, PageError for an address that cannot be served.
         """
+        check_device(device)
         mailbox = Mailbox()
         self.journal = Journal(lambda: mailbox.latest.time if mailbox.latest is not None else 0.0)
         self.session = Session(mailbox, device=device, settings=dict(settings), seed=seed, say=say)
@@ -81,7 +83,7 @@ def serve(scenario: str = "free", host: str = "127.0.0.1", port: int = 8080, dev
     settings: parameters by key, over the scenario's own. token: what a visitor must know when the host is not this
     machine's own; by default the environment's ELBOWROOM_TOKEN.
 
-    Raises ScenarioError, ConfigError or PageError before anything is served.
+    Raises ScenarioError, ConfigError, DeviceError or PageError before anything is served.
     """
     print("loading ...", flush=True)
     page = Page(scenario, host=host, port=port, device=device, settings=settings, seed=seed,

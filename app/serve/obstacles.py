@@ -17,6 +17,8 @@ from hrc.messages import Body, Snapshot
 
 LIMITS = ((-1.5, 1.0), (-1.2, 1.2), (0.0, 1.5))
 """Where a gizmo may be dragged: x, y, z [m]."""
+STILL = 0.001
+"""A gizmo within this of its body is where it belongs [m]."""
 
 
 class ObstacleControls:
@@ -49,8 +51,10 @@ class ObstacleControls:
             gizmo.visible = body.present and not body.virtual
             if body.name in self._boxes:
                 self._boxes[body.name].value = body.present
-            if body.present and body.name not in self._asked:
-                gizmo.position = body.T_world_body[:3, 3]
+            position = body.T_world_body[:3, 3]
+            # Written only when it has moved: a write in the same moment as a visitor's drag would take its place.
+            if body.present and body.name not in self._asked and np.abs(gizmo.position - position).max() > STILL:
+                gizmo.position = position
 
     def forget(self) -> None:
         """After a reset nothing is asked for any more."""

@@ -21,7 +21,8 @@ SLIDERS = {"control.f_relax": "F_relax", "control.f_abort": "F_abort", "push.sti
 PLAY = ("Pause", "Play")
 STEP_TICKS = 10
 HINT = """<ul class="eb-hint">
-<li><b>Push the arm:</b> drag a link with the left mouse button. Gently it gives way, hard it abandons its task.</li>
+<li><b>Push the arm:</b> drag a link with the left mouse button. Gently it gives way, hard it abandons
+its task. The arm goes on along its path while the hand stays: move with it.</li>
 <li><b>Bring an obstacle:</b> drag the blue ball, or its arrows, into the arm: the depth camera sees it.</li>
 <li><b>Look around:</b> drag the background; the wheel zooms. <b>Esc</b> stops the arm.</li></ul>"""
 NO_SAFETY = '<div class="eb-small">Stops the simulated arm. Not a safety function.</div>'

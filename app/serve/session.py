@@ -157,7 +157,7 @@ class Session:
             return
         self.scenario = name
         self._mailbox.clear()
-        note = "building the cell and compiling its kernels (about 10 s the first time)"
+        note = "building the cell and compiling its kernels (about 5 s the first time)"
         self.status = Status(Phase.STARTING, f'"{name}": {note}')
         self._say(f'starting "{name}": {note} ...')
         script, config = scenario.load(name), self.check(name)

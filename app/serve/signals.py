@@ -10,7 +10,7 @@ from app.serve.mailbox import ForcePoint
 from app.serve.sight import OBSTACLE, ROBOT, Sight
 from hrc.messages import Snapshot
 
-ESTIMATE, TRUTH, RELAX, ABORT = "#ff3b30", "#34c759", "#e08e0b", "#c0392b"
+ESTIMATE, TRUTH, RELAX, ABORT = "#ff3b30", "#34c759", "#e08e0b", "#b06ce0"
 WIDTH = 350
 BLANK = np.full((212, 256, 3), 24, np.uint8)
 

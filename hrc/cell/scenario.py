@@ -47,7 +47,7 @@ def load(name_or_path: str | Path) -> Scenario:
     path = Path(name_or_path)
     if path.suffix != ".toml":
         if str(name_or_path) not in names():
-            raise ScenarioError(unknown("scenario", str(name_or_path), names()) + " A path must end in .toml.")
+            raise ScenarioError(unknown("scenario", str(name_or_path), names()) + " (a path must end in .toml)")
         path = _folder() / f"{name_or_path}.toml"
     try:
         text = path.read_text(encoding="utf-8")
@@ -67,25 +67,35 @@ def _scenario(name: str, file: str, text: str, table: dict[str, Any]) -> Scenari
             raise ScenarioError(f"{file}, line {_line(text, key)}: {unknown('entry', key, known)}")
     duration = table.get("duration")
     if isinstance(duration, bool) or not isinstance(duration, (int, float)) or not 0 < duration < LONGEST:
-        raise ScenarioError(f"{file}, line {_line(text, 'duration')}: duration must be seconds above 0, not {duration!r}")
+        given = "missing" if duration is None else repr(duration)
+        raise ScenarioError(f"{file}, line {_line(text, 'duration')}: duration must be seconds above 0, not {given}")
     settings, listed = table.get("set", {}), table.get("event", [])
     if not isinstance(settings, dict) or not isinstance(listed, list) or not all(isinstance(e, dict) for e in listed):
         raise ScenarioError(f'{file}: "set" must be a table of parameters, and events are written as [[event]]')
     scenario = Scenario(name, str(table.get("title", name)), str(table.get("description", "")), float(duration),
-                        dict(settings), _events(file, text, listed))
+                        _flat(settings), _events(file, text, listed, float(duration)))
     scenario.configured(Config())
     return scenario
 
 
-def _events(file: str, text: str, listed: list[dict[str, Any]]) -> tuple[tuple[float, Event], ...]:
+def _flat(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """`control.f_abort = 30`, quoted or not, and a table [set.control] are the same."""
+    out: dict[str, Any] = {}
+    for key, value in table.items():
+        out |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+    return out
+
+
+def _events(file: str, text: str, listed: list[dict[str, Any]], duration: float) -> tuple[tuple[float, Event], ...]:
     lines = [i for i, line in enumerate(text.splitlines(), 1) if re.match(r"\s*\[\[\s*event\s*\]\]", line)]
     events: list[tuple[float, Event]] = []
     for index, entry in enumerate(listed):
         where = f"{file}, line {lines[index]}" if index < len(lines) else f"{file}, event {index + 1}"
         values = dict(entry)
         time = values.pop("t", None)
-        if isinstance(time, bool) or not isinstance(time, (int, float)) or not 0 <= time < LONGEST:
-            raise ScenarioError(f"{where}: an event needs its time t in seconds, from 0 to {LONGEST:g}; it has {time!r}")
+        if isinstance(time, bool) or not isinstance(time, (int, float)) or not 0 <= time <= duration:
+            raise ScenarioError(f"{where}: an event needs its time t in seconds, from 0 to the duration, {duration:g}; "
+                                f"it has {'none' if time is None else repr(time)}")
         try:
             event = from_dict(values)
         except EventError as error:

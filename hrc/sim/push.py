@@ -25,7 +25,7 @@ HAND = BodySpec("grip", "sphere", (HAND_RADIUS,), rgb=(0.93, 0.72, 0.60))
 class PushConfig(Parameters):
     """The spring of a mouse pull."""
 
-    stiffness: float = param(250.0, low=20.0, high=1000.0, unit="N/m")
+    stiffness: float = param(150.0, low=20.0, high=1000.0, unit="N/m")
     """Stiffness of the spring between the grabbed point and the mouse."""
     damping: float = param(30.0, low=0.0, high=200.0, unit="N s/m")
     """Damping of that spring."""

@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 
+from hrc.errors import AssetError
 from hrc.model import load_spec
 from hrc.scene import BodySpec, Scene
 
@@ -14,7 +15,10 @@ ROBOT_BIT, SCENE_BIT = 1, 2
 
 
 def compile_world(scene: Scene, base_hz: int) -> mujoco.MjModel:
-    """The compiled model: the robot first (7 degrees of freedom), then three slides for each obstacle, in order."""
+    """The compiled model: the robot first (7 degrees of freedom), then three slides for each obstacle, in order.
+
+    Raises AssetError if a file of the robot is missing or malformed.
+    """
     spec = load_spec()
     spec.option.timestep = 1.0 / base_hz
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE  # the sparse solver of MuJoCo 4.0.0 is wrong
@@ -24,7 +28,10 @@ def compile_world(scene: Scene, base_hz: int) -> mujoco.MjModel:
             contype=SCENE_BIT, conaffinity=ROBOT_BIT | SCENE_BIT)
     for body in scene.bodies:
         _add_obstacle(spec, body)
-    model = spec.compile()
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise AssetError(f"the robot description cannot be compiled: {' '.join(str(error).split())}") from None
     # Let an obstacle's geom turn about the body's origin at run time; the compiler took it for fixed.
     for body in scene.bodies:
         model.geom_sameframe[model.geom(body.name).id] = 0

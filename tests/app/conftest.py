@@ -48,8 +48,10 @@ def raw(served: "Page") -> Iterator[VClient]:
     until(lambda: client.banner()["mode"] not in ("starting", "failed"), 120.0)
     served.session.paused = False
     client.click("Resume") if client.banner()["mode"] == "stop" else None
+    until(lambda: float(client.banner()["time"]) > 0.3)
+    before = float(client.banner()["time"])
     client.set("Simulation", "Reset")
-    until(lambda: float(client.banner()["time"]) < 5.0)
+    until(lambda: float(client.banner()["time"]) < before)
     until(lambda: client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.3)
     yield client
     client.close()

@@ -9,6 +9,7 @@ from vclient import VClient, until
 from app.serve.main import Page
 from hrc.config import Config
 from hrc.control.reaction import ReactionConfig
+from hrc.errors import DeviceError
 
 ELBOW = "/robot/link_4"
 
@@ -180,16 +181,20 @@ def test_what_the_cell_refuses_is_in_the_log(raw: VClient) -> None:
 
 def test_choosing_a_scenario_starts_another_cell(raw: VClient) -> None:
     raw.set("Scenario", "push")
-    until(lambda: raw.banner()["mode"] == "starting")
     until(lambda: raw.banner()["mode"] == "relax", 30.0)
+    time = number(raw, "time")
     raw.set("Scenario", "free")
-    until(lambda: raw.banner()["mode"] == "starting")
-    until(lambda: raw.banner()["mode"] == "idle", 30.0)
+    until(lambda: number(raw, "time") < time and raw.banner()["mode"] == "idle", 30.0)
+
+
+def test_a_device_that_is_not_there_is_refused_before_anything_is_served() -> None:
+    with pytest.raises(DeviceError, match="cuda:99"):
+        Page("free", port=0, device="cuda:99", say=lambda _: None)
 
 
 @pytest.fixture
 def broken() -> Iterator[Page]:
-    page = Page("free", port=0, device="cuda:99", say=lambda _: None)
+    page = Page("free", port=0, settings={"task.centre": (1.2, 1.2, 1.2)}, say=lambda _: None)
     page.start()
     yield page
     page.close()
@@ -199,7 +204,7 @@ def test_cell_that_fails_leaves_the_page_standing(broken: Page) -> None:
     client = VClient(broken.server.get_port())
     assert client.ready.wait(5.0)
     until(lambda: client.banner()["mode"] == "failed", 30.0)
-    assert "cuda:99" in client.text()
+    assert "cannot reach" in client.text()
     client.click("STOP (Esc)")
     until(lambda: "not running" in client.text())
     client.set("Simulation", "Reset")
