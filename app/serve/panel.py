@@ -148,7 +148,7 @@ class Panel:
         self._run.on_click(run)
         self._speed.on_update(speed)
         self._scenario.on_update(scenario)
-        self._server.gui.add_command("Stop the arm", hotkey="escape", icon=viser.Icon.HAND_STOP).on_trigger(stop)
+        self._server.gui.add_command("Stop the arm", icon=viser.Icon.HAND_STOP).on_trigger(stop)
 
     def _put(self, event: Event) -> None:
         self._try(lambda: self._session.put(event))

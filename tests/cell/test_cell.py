@@ -213,3 +213,19 @@ def test_an_unknown_device_is_one_clear_error():
         Cell(device="cuda:7")
     assert issubclass(DeviceError, HrcError)
     assert issubclass(ConfigError, HrcError)
+
+
+def test_an_arm_that_sees_nothing_does_not_keep_pressing(monkeypatch):
+    """A ball stands in the wrist's way and the camera is dead: one bump, then a wary touch now and then."""
+    cell = Cell()
+    for _ in range(1500):
+        cell.step()
+    monkeypatch.setattr(cell._camera, "latest", lambda _: None)
+    cell.apply(MoveObstacle("ball", (-0.55, -0.23, 0.53)))
+    snapshots = [cell.step() for _ in range(8000)]
+    force = np.array([np.linalg.norm(s.truth.F_world) for s in snapshots])
+    touched = int(np.argmax(force > 1.0))
+    assert Mode.UNSEEN in {s.command.mode for s in snapshots}
+    assert 5.0 < force.max() < 60.0
+    assert force[touched + 2000:].max() < 20.0
+    assert force[touched + 2000:].max() > 1.0, "the ball still stands there"
