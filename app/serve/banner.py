@@ -7,6 +7,8 @@ from html import escape
 from app.serve.session import Phase, Session
 from hrc.messages import LINKS, Mode, Snapshot
 
+SILENT = 500
+"""A newest frame older than this many ticks means that no more are coming."""
 STALE = '<div class="eb-stale">NO CONNECTION TO THE SERVER: WHAT YOU SEE IS OLD</div>'
 
 
@@ -66,11 +68,13 @@ def banner(known: Facts, beat: int) -> str:
 
 
 def _note(snapshot: Snapshot, paused: bool) -> str:
-    command = snapshot.command
+    command, frame = snapshot.command, snapshot.frame
     if command.mode is Mode.STOP:
         return f"{command.reason or 'stopped'}: press Resume to go on"
     if paused:
         return "the simulation is paused"
+    if frame is not None and snapshot.tick - frame.tick > SILENT:
+        return "the camera is silent: a contact will count as not seen"
     if command.mode is Mode.UNSEEN:
         return "a force is felt, but the camera sees nothing there: the arm gives way in its joints"
     if command.mode is Mode.RELAX:

@@ -106,7 +106,8 @@ def test_help_loads_no_engine(args):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
-def test_ctrl_c_leaves_a_valid_partial_result(tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_leaves_a_valid_partial_result(tmp_path, number):
     from app.record.signals import read_parquet
 
     out = tmp_path / "out"
@@ -116,7 +117,7 @@ def test_ctrl_c_leaves_a_valid_partial_result(tmp_path):
     deadline = time.monotonic() + 120
     while not (recording.exists() and recording.stat().st_size > 1_000_000) and time.monotonic() < deadline:
         time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     told, errors = process.communicate(timeout=60)
     assert process.returncode == 130, errors
     assert "interrupted" in told
