@@ -92,7 +92,7 @@ def scenarios() -> None:
 
     for name in scenario.names():
         found = scenario.load(name)
-        print(f"{name:<12} {found.duration:6.1f} s  {found.title}")
+        print(f"{name:<12} {found.duration:6.1f} s  {found.title}: {' '.join(found.description.split())}")
 
 
 @commands.command

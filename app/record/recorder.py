@@ -69,7 +69,7 @@ class Recorder:
         self._mode: Mode | None = None
         self._block = _Block()
         self._control_ticks = 0
-        self.images_kept = self.images_dropped = self.image_bytes = 0
+        self.images_kept = self.images_dropped = 0
         self.stopped = ""
         """Why the recording ended before the run did."""
         self._images = threading.BoundedSemaphore(_IMAGES)
@@ -179,7 +179,7 @@ class Recorder:
             self._images.release()
 
     def _write_image(self, frame: DepthFrame, robot: RobotImage) -> None:
-        self.image_bytes += self._writer.image(frame.tick, frame.depth, robot.link)
+        self._writer.image(frame.tick, frame.depth, robot.link)
         self.images_kept += 1
 
 

@@ -89,13 +89,12 @@ class SessionWriter:
                     self._at(tick)
                     self._stream.log(entity, self._shape(body, shown=body.present))
 
-    def image(self, tick: int, depth: NDArray[np.float32], link: NDArray[np.uint8]) -> int:
-        """A depth image [m] with the link ids seen in it, at its exposure. Returns the bytes of the depth image."""
+    def image(self, tick: int, depth: NDArray[np.float32], link: NDArray[np.uint8]) -> None:
+        """A depth image [m] with the link ids seen in it, at its exposure."""
         blob = png.encode(png.millimetres(depth))
         self._at(tick)
         self._stream.log(entities.DEPTH, rr.EncodedDepthImage.from_fields(blob=blob))
         self._stream.log(entities.LINK_IDS, rr.SegmentationImage(link))
-        return len(blob)
 
     def mode(self, tick: int, mode: Mode, reason: str) -> None:
         """A transition of the reaction."""

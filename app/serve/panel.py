@@ -36,7 +36,7 @@ class Panel:
                  config: Config, view: SceneView, forces: ForceView, obstacles: ObstacleControls,
                  journal: Journal) -> None:
         self._server, self._session, self._journal = server, session, journal
-        self._view, self._forces, self._obstacles = view, forces, obstacles
+        self._view, self._forces = view, forces
         self._beat = 0
         gui = server.gui
         gui.main_panel.dock_left()

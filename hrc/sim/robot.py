@@ -159,11 +159,6 @@ class SimulatedRobot:
         hits = [self._ray(int(g), inside + far * direction, -direction) for g in geoms]
         return far - min((h for h in hits if h >= 0.0), default=far)
 
-    def surface_point(self, link: int, p_link: Array, direction: Array) -> Array:
-        """The point of a link's surface [m] (3,), in its frame, seen from p_link along a direction of the world."""
-        R = self._data.xmat[self._links[link]].reshape(3, 3)
-        return p_link + R.T @ direction * self.reach(link, p_link, direction)
-
     def _ray(self, geom: int, origin: Array, direction: Array) -> float:
         """Distance along a ray to one geom, -1 for none."""
         kind = self.model.geom_type[geom]
