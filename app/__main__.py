@@ -74,15 +74,40 @@ def run(scenario: Annotated[Positional[str], arg(metavar="SCENARIO")], out: Path
 
 
 @commands.command
-def bench(device: str = "cpu") -> None:
-    """Measure the perception cycle beside its brute-force reference.
+def bench(what: Annotated[Positional[Literal["speed", "accuracy"]], arg(metavar="speed|accuracy")] = "speed",
+          json: Annotated[Path | None, arg(metavar="FILE")] = None, device: str = "cpu",
+          quick: FlagCreatePairsOff[bool] = False) -> None:
+    """Measure perception on this machine: its speed beside what one would use instead, or its accuracy.
 
     Args:
-        device: Where vision runs, cpu or cuda:0.
+        what: speed, on one core; or accuracy, of the contact point and of the filter.
+        json: File for all figures with their conditions.
+        device: Measured beside the CPU (speed), or used (accuracy): cpu or cuda:0.
+        quick: Few frames, to see that it works.
     """
-    from app.bench import bench as measure
+    if what == "accuracy":
+        from app.bench.accuracy import bench as measure
+    else:
+        from app.bench.speed import bench as measure
 
-    measure(device)
+    measure(device=device, json=json, quick=quick)
+
+
+@commands.command
+def localize(folder: Annotated[Positional[Path], arg(metavar="FOLDER")], out: Path | None = None, settings: Settings = (),
+             device: str = "cpu", overwrite: FlagCreatePairsOff[bool] = False) -> None:
+    """Find the contacts in depth images of a real camera, from files; docs/depth_images.md says which.
+
+    Args:
+        folder: Folder with camera.toml, joints.csv and the images in depth/.
+        out: Table to write, as contacts.csv.
+        settings: Parameters of the eye to change, as vision.margin=0.04.
+        device: Compute device of the vision, cpu or cuda:0.
+        overwrite: Replace the table if it exists.
+    """
+    from app.localize import Job, execute
+
+    execute(Job(folder, out, _flat(settings), device, overwrite))
 
 
 @commands.command

@@ -136,10 +136,12 @@ def versions() -> dict[str, str]:
 
 def _recorder(job: Job, path: Path, cell: Cell, about: dict[str, Any]) -> "Recorder":
     from app.record.recorder import Recorder  # here, because rerun takes half a second and is an extra
+    from hrc.cell.eyes import rig
     from hrc.vision.camera import Camera
 
     config = cell.config
-    return Recorder(path, base_hz=config.rates.base_hz, scene=cell.scene, camera=Camera(config.camera),
+    cameras = {setup.name: Camera(setup.camera) for setup in rig(config, cell.scene)}
+    return Recorder(path, base_hz=config.rates.base_hz, scene=cell.scene, cameras=cameras,
                     parameters=keys(config), about=about, depth=job.depth, wait=True)
 
 

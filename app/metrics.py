@@ -13,7 +13,7 @@ FIRM = 8.0
 SETTLING = 2.0
 """Time after an ABORT [s] that does not count for the end effector's error: the arm is coming back to its path."""
 ALWAYS_FINITE = ("q", "dq", "dq_command", "tau", "residual", "ee", "ee_desired", "force_true", "admittance_error")
-FINITE_IN_CONTACT = ("force_est", "contact_point_est", "contact_power", "sigma_min")
+FINITE_IN_CONTACT = ("force_est", "contact_point_est", "contact_power", "contact_radius", "sigma_min")
 
 Mask = NDArray[np.bool_]
 
@@ -28,6 +28,7 @@ def compute(columns: Columns) -> dict[str, Any]:
         "localisation": _localisation(columns),
         "force": _force(columns),
         "contact_power_min_relax_W": _least(columns["contact_power"][columns["state"] == Mode.RELAX]),
+        "clearance_min_m": _least(np.stack([columns[f"clearance_{link}"] for link in range(1, 8)])),
         "force_true_max_N": _largest(np.linalg.norm(columns["force_true"], axis=1)),
         "ticks_by_state": {mode.value: int((columns["state"] == mode).sum()) for mode in Mode},
         "everything_finite": _finite(columns),

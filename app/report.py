@@ -9,7 +9,7 @@ from app.record.signals import Columns
 from hrc.messages import Mode
 
 _COLOURS = {Mode.IDLE: "#b0bec5", Mode.RELAX: "#66bb6a", Mode.ABORT: "#ef5350", Mode.UNSEEN: "#ffa726",
-            Mode.STOP: "#7f0000"}
+            Mode.BLIND: "#2f5d8a", Mode.STOP: "#7f0000"}
 _AXES = (("x", "C3"), ("y", "C2"), ("z", "C0"))
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from hrc.cell.clock import RatesConfig
 from hrc.contact.estimate import TrackerConfig
 from hrc.contact.force import ForceConfig
+from hrc.contact.proprioception import ProprioceptionConfig
 from hrc.contact.residual import ObserverConfig
 from hrc.control.reaction import ReactionConfig
 from hrc.control.reference import TaskConfig
@@ -25,6 +26,8 @@ class Config(Parameters):
 
     seed: int = param(0, low=0, high=2**31 - 1, live=False)
     """Every random number of a run comes from this seed."""
+    scene: str = param("cell", live=False)
+    """The scene, by its name or the path of its file: environment, obstacles, cameras."""
     rates: RatesConfig = field(default_factory=RatesConfig)
     plant: PlantConfig = field(default_factory=PlantConfig)
     push: PushConfig = field(default_factory=PushConfig)
@@ -34,6 +37,7 @@ class Config(Parameters):
     sensor: SensorConfig = field(default_factory=SensorConfig)
     vision: VisionConfig = field(default_factory=VisionConfig)
     observer: ObserverConfig = field(default_factory=ObserverConfig)
+    proprioception: ProprioceptionConfig = field(default_factory=ProprioceptionConfig)
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
     force: ForceConfig = field(default_factory=ForceConfig)
     task: TaskConfig = field(default_factory=TaskConfig)
@@ -49,7 +53,7 @@ def paper() -> Config:
     base = Config()
     return base.replace(
         control=base.control.replace(k_f=0.05, relax_form="printed"),
-        vision=base.vision.replace(mode="paper"),
+        vision=base.vision.replace(mode="paper", margin=0.03),
     )
 
 
@@ -67,4 +71,22 @@ def ideal() -> Config:
                         model=base.model.replace(inertial_error=0.0))
 
 
-PRESETS: dict[str, Callable[[], Config]] = {"default": Config, "paper": paper, "literal": literal, "ideal": ideal}
+def harsh() -> Config:
+    """A robot in a bad state: half of the friction and offset left, three times the torque noise, a model 10 % off, an unknown
+    payload, coarse encoders, commands up to 3 ms late, a camera three frames late and off by 0.5 deg and 1 cm.
+    """
+    base = Config()
+    return base.replace(
+        plant=base.plant.replace(torque_noise=0.01, friction_left=0.5, payload=0.3, encoder_step=5e-5, jitter=3),
+        model=base.model.replace(inertial_error=0.1),
+        sensor=base.sensor.replace(latency=3, extrinsic_rotation_deg=0.5, extrinsic_translation=0.01))
+
+
+def two_cameras() -> Config:
+    """A second depth camera, before the robot: what is hidden from the one may be seen by the other."""
+    return Config(scene="two_cameras")
+
+
+PRESETS: dict[str, Callable[[], Config]] = {
+    "default": Config, "realistic": Config, "ideal": ideal, "harsh": harsh, "paper": paper, "literal": literal,
+    "two_cameras": two_cameras}

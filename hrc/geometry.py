@@ -65,6 +65,13 @@ def rotation_about(axis: ArrayLike, angle: float) -> Array:
     return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
 
 
+def rotation_vector(R: ArrayLike) -> Array:
+    """Axis times angle [rad] (3,), of length 0 to pi, from R (3, 3)."""
+    w, *xyz = quaternion_from_rotation(R)
+    sine = float(np.linalg.norm(xyz))
+    return np.array(xyz) * (2.0 * np.arctan2(sine, w) / sine if sine > 1e-12 else 2.0)
+
+
 def look_at(eye: ArrayLike, target: ArrayLike) -> Array:
     """T_world_camera of an optical frame (+z forward, +x right, +y down) at `eye` [m] looking at `target` [m], level."""
     z = np.asarray(target, float) - np.asarray(eye, float)

@@ -36,6 +36,11 @@ class Terms:
     J: Array
     J_spatial: Array
 
+    @property
+    def J_tool(self) -> Array:
+        """Jacobian of the end effector's velocity, linear part first, in the world's axes, shape (6, 7)."""
+        return np.vstack([self.J, self.J_spatial[3:]])
+
     def J_link(self, link: int) -> Array:
         """J_i, the geometric Jacobian of link i (6, 7) in the world's axes; its last n - i columns are zero, Eq. (10)."""
         J = self.J_spatial.copy()

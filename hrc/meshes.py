@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +66,25 @@ def box(half_lengths: ArrayLike) -> Mesh:
 def sphere(radius: float, subdivisions: int = 3) -> Mesh:
     """A sphere [m] around the origin: 20 x 4^subdivisions triangles, its vertices on the sphere."""
     return smooth(trimesh.creation.icosphere(subdivisions, radius))
+
+
+def capsule(radius: float, half_length: float) -> Mesh:
+    """A cylinder along z from -half_length to half_length [m] with a half sphere at each end."""
+    return smooth(trimesh.creation.capsule(height=2.0 * half_length, radius=radius, count=[24, 24]))
+
+
+def shape(kind: str, size: Sequence[float]) -> Mesh:
+    """The surface of an obstacle: "sphere" (radius,), "capsule" (radius, half_length) or "box" (half lengths) [m].
+
+    Raises AssetError for another kind.
+    """
+    if kind == "sphere":
+        return sphere(size[0])
+    if kind == "capsule":
+        return capsule(size[0], size[1])
+    if kind == "box":
+        return box(size)
+    raise AssetError(unknown("shape", kind, ("sphere", "capsule", "box")))
 
 
 def smooth(mesh: trimesh.Trimesh) -> Mesh:

@@ -3,6 +3,7 @@
 Ticks count the base rate (1 kHz simulated). Links are numbered 0 (base) to 7.
 """
 
+import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -17,12 +18,14 @@ LINKS = ("base", "link_1", "link_2", "link_3", "link_4", "link_5", "link_6", "li
 
 
 class Mode(StrEnum):
-    """What the arm is doing. The paper's three states, the reflex for a contact without a point, and STOP."""
+    """What the arm is doing. The paper's three states, the reflex for a contact without a point, the halt without a camera,
+    and STOP."""
 
     IDLE = "idle"
     RELAX = "relax"
     ABORT = "abort"
     UNSEEN = "contact not seen"
+    BLIND = "camera silent"
     STOP = "stop"
 
 
@@ -70,7 +73,7 @@ class DepthFrame:
     depth: NDArray[np.float32]
 
     def __post_init__(self) -> None:
-        if self.depth.ndim != 2 or self.depth.dtype != np.float32:
+        if self.depth.ndim != 2 or self.depth.dtype != np.float32 or not self.depth.size:
             raise SensorError(f"depth must be a float32 image, not {self.depth.dtype} {self.depth.shape}")
         if np.isnan(self.depth.min()):  # numpy's min hands a NaN on
             raise SensorError("the depth image holds NaN; an invalid pixel is +inf")
@@ -90,7 +93,9 @@ class Nearest:
     """The point of a link's visible surface nearest to an obstacle: what vision sees, contact or not.
 
     stamp: tick of the depth frame used. p_world, p_link: that surface point [m], in the world at `tick` and fixed to the
-    link, shape (3,). distance: of the link to the obstacle [m]. pixel: (u, v) of the point.
+    link, shape (3,). distance: of the link to the obstacle [m]. pixel: (u, v) of the point. camera: who sees it.
+    sure: False where the obstacle goes on behind what the camera sees of the robot, so that a contact, if there is one, is
+    likely to be at a hidden place, and where another link is as near elsewhere.
     """
 
     tick: int
@@ -100,6 +105,42 @@ class Nearest:
     p_link: Array
     distance: float
     pixel: tuple[int, int]
+    camera: str = ""
+    sure: bool = True
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Clearance:
+    """How far a link is from the nearest obstacle, contact or not: distance [m] between two witness points.
+
+    p_robot, p_obstacle: on the link's visible surface and on the obstacle [m], in the world, shape (3,). camera: who sees it.
+    """
+
+    tick: int
+    stamp: int
+    link: int
+    distance: float
+    p_robot: Array
+    p_obstacle: Array
+    camera: str = ""
+
+    def __post_init__(self) -> None:
+        read_only(self.p_robot, self.p_obstacle)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class View:
+    """The newest frame of one camera, and what perception made of it.
+
+    foreground: the frame without robot and environment. robot_image: the robot in that frame. silent: no frame for so long
+    that this one says nothing about now; before the first frame all three are None.
+    """
+
+    camera: str
+    frame: DepthFrame | None = None
+    foreground: DepthFrame | None = None
+    robot_image: RobotImage | None = None
+    silent: bool = False
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -110,6 +151,8 @@ class Contact:
     F_world: estimated force on the robot [N], shape (3,), Eq. (5).
     sigma_min: smallest singular value of J_c [m]; unobservable: unit direction of the force (3,) that goes with it.
     F_gate: length of a force [N] in this direction below which Eq. (4) would no longer detect it.
+    seen: whether a camera sees an obstacle there; else the place is known from the joints alone. radius [m]: around p_world,
+    holds the contact with 90 %.
     """
 
     link: int
@@ -120,6 +163,8 @@ class Contact:
     sigma_min: float
     unobservable: Array
     F_gate: float = 0.0
+    seen: bool = True
+    radius: float = 0.0
 
     def __post_init__(self) -> None:
         read_only(self.p_world, self.p_link, self.J_c, self.F_world, self.unobservable)
@@ -130,7 +175,7 @@ class Command:
     """The joint velocity command [rad/s], shape (7,), and what it came from.
 
     x, x_d: end effector and its reference [m] (3,). admittance_error: x_cd - x_c [m] (3,), zero outside ABORT.
-    path_speed: 0 (path frozen) to 1. reason: why the arm stands, when mode is STOP.
+    path_speed: 0 (path frozen) to 1. reason: why the arm stands, when mode is STOP or BLIND.
     """
 
     mode: Mode
@@ -166,7 +211,8 @@ class Truth:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Body:
-    """An obstacle in the scene: shape "sphere" (size = (r,)) or "box" (half lengths) [m], pose T_world_body (4, 4)."""
+    """An obstacle in the scene: shape "sphere" (size = (r,)), "capsule" (radius, half length of its axis, along z) or "box"
+    (half lengths) [m], pose T_world_body (4, 4)."""
 
     name: str
     shape: str
@@ -182,7 +228,8 @@ class Snapshot:
     """The latest of everything after one step. Recorder, browser and tests see nothing else.
 
     time: tick over the base rate [s]. fresh_control, fresh_frame: whether this very tick brought a new one.
-    foreground: the depth frame without robot and environment. robot_image: the robot in that frame.
+    views: one for each camera. nearest: the nearest of all points that vision offers; touches: up to four separate places
+    where an obstacle is as near as in a contact; clearances: one for each link with an obstacle within the monitored range.
     T_world_link [m]: poses of base and links (8, 4, 4), as measured at the last control tick.
     residual: r of Eq. (2) [N m] (7,).
     detected: Eq. (4) with hysteresis. events: those applied before this tick; refused: (event, reason).
@@ -197,9 +244,7 @@ class Snapshot:
     detected: bool
     contact: Contact | None
     nearest: Nearest | None
-    frame: DepthFrame | None
-    foreground: DepthFrame | None
-    robot_image: RobotImage | None
+    views: tuple[View, ...]
     truth: Truth
     bodies: tuple[Body, ...]
     events: tuple[Any, ...] = ()
@@ -208,6 +253,13 @@ class Snapshot:
     fresh_frame: bool = False
     pull: "tuple[Array, Array] | None" = field(default=None)
     """The grabbed point and the point it is pulled to [m], in the world, while somebody pulls."""
+    touches: tuple[Nearest, ...] = ()
+    clearances: tuple[Clearance, ...] = ()
 
     def __post_init__(self) -> None:
         read_only(self.T_world_link, self.residual)
+
+    @property
+    def clearance(self) -> float:
+        """Of the whole robot [m]: inf while no obstacle is within the monitored range."""
+        return min((c.distance for c in self.clearances), default=math.inf)

@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from hrc.errors import AssetError, ConfigError
-from hrc.geometry import skew
+from hrc.geometry import rotation_vector, skew
 from hrc.jacobian import Terms
 from hrc.messages import LINKS
 from hrc.parameters import Parameters, param
@@ -149,19 +149,33 @@ class Dynamics:
         """M ddq + C dq + g [N m], shape (7,), the left side of Eq. (1)."""
         return pin.rnea(self.model, self._data, q, dq, ddq).copy()
 
-    def solve_position(self, x: Array, q_start: Array, *, iterations: int = 200) -> Array:
+    def tool_jacobian(self, q: Array) -> Array:
+        """Jacobian of the end effector's velocity, linear part first, in the world's axes, shape (6, 7)."""
+        _, at, J_spatial = self.kinematics(q)
+        return np.vstack([J_spatial[:3] - skew(at) @ J_spatial[3:], J_spatial[3:]])
+
+    def solve_position(self, x: Array, q_start: Array, R: Array | None = None, *, iterations: int = 200) -> Array:
         """A configuration near q_start with its end effector at x [m] (Gauss-Newton with a small damping).
 
-        Raises ConfigError when there is none within reach.
+        R: the last link's orientation there (3, 3), if it matters. Raises ConfigError when there is none within reach.
         """
         q = np.array(q_start, dtype=float)
+        rows = 3 if R is None else 6
         for _ in range(iterations):
-            _, at, J_spatial = self.kinematics(q)
-            J = J_spatial[:3] - skew(at) @ J_spatial[3:]
-            q += 0.5 * J.T @ np.linalg.solve(J @ J.T + 1e-6 * np.eye(3), x - at)
-        if not np.linalg.norm(x - self.kinematics(q)[1]) < 1e-3:
+            e = self._error(q, x, R)
+            J = self.tool_jacobian(q)[:rows]
+            step = 0.5 * J.T @ np.linalg.solve(J @ J.T + 1e-6 * np.eye(rows), e)
+            q += step
+            if float(step @ step) < 1e-24:
+                break
+        if not np.linalg.norm(self._error(q, x, R)) < 1e-3:
             raise ConfigError(f"the end effector cannot reach {np.round(x, 3).tolist()} m from the posture it starts in")
         return q
+
+    def _error(self, q: Array, x: Array, R: Array | None) -> Array:
+        """What is missing to x [m], and to R as a rotation vector [rad], in the world."""
+        T, at, _ = self.kinematics(q)
+        return x - at if R is None else np.concatenate([x - at, rotation_vector(R @ T[7, :3, :3].T)])
 
 
 def _rotation(wxyz: Array) -> Array:

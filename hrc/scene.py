@@ -1,14 +1,18 @@
-"""The cell around the robot: the fixed environment and the obstacles that may enter."""
+"""The cell around the robot: the fixed environment, the obstacles that may enter, the depth cameras."""
 
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hrc.errors import AssetError
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hrc.errors import AssetError, unknown
 from hrc.paths import assets
 
 Vector = tuple[float, float, float]
+ENTRIES = ("extends", "environment", "body", "camera")
 
 
 @dataclass(frozen=True)
@@ -23,7 +27,8 @@ class Box:
 
 @dataclass(frozen=True)
 class BodySpec:
-    """An obstacle: shape "sphere" (size = (radius,)) or "box" (size = half lengths) [m]; mass [kg]; colour 0..1."""
+    """An obstacle: shape "sphere" (size = (radius,)), "capsule" (radius, half length of its axis, along z) or "box" (half
+    lengths) [m]; mass [kg]; colour 0..1."""
 
     name: str
     shape: str
@@ -34,32 +39,73 @@ class BodySpec:
     @property
     def radius(self) -> float:
         """Half the largest extent along an axis [m]."""
-        return max(self.size)
+        return sum(self.size) if self.shape == "capsule" else max(self.size)
+
+    def extent(self, direction: ArrayLike) -> float:
+        """How far the body reaches from its centre along a unit vector of its own frame [m]."""
+        along = np.abs(np.asarray(direction, float))
+        if self.shape == "box":
+            return float(along @ np.asarray(self.size))
+        return self.size[0] + (float(along[2]) * self.size[1] if self.shape == "capsule" else 0.0)
+
+
+@dataclass(frozen=True)
+class CameraSpec:
+    """A depth camera by name, with the parameters in which it differs from the config's (groups camera, sensor; `hz`)."""
+
+    name: str
+    changes: dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Environment boxes, and the obstacles by name."""
+    """Environment boxes, and obstacles and cameras by name. No camera means the one of the config."""
 
     environment: tuple[Box, ...]
     bodies: tuple[BodySpec, ...]
+    cameras: tuple[CameraSpec, ...] = ()
 
 
-def load_scene(path: Path | None = None) -> Scene:
-    """Read a scene file; by default the project's cell. Raises AssetError if it is missing or malformed."""
-    path = path or assets() / "scenes" / "cell.toml"
+def scenes() -> list[str]:
+    """The scenes that come with the project."""
+    return sorted(path.stem for path in (assets() / "scenes").glob("*.toml"))
+
+
+def load_scene(name: str | Path = "cell") -> Scene:
+    """A scene by its name, or by the path of its file. Raises AssetError if it is missing or malformed.
+
+    A file may say `extends = "cell"`: then it adds to that scene.
+    """
+    path = Path(name)
+    if path.suffix != ".toml":
+        if str(name) not in scenes():
+            raise AssetError(unknown("scene", str(name), scenes()) + " (a path must end in .toml)")
+        path = assets() / "scenes" / f"{name}.toml"
     try:
-        table = tomllib.loads(path.read_text())
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        for key in table:
+            if key not in ENTRIES:
+                raise AssetError(f"the scene file {path.name} is malformed: {unknown('entry', key, ENTRIES)}")
+        base = load_scene(table["extends"]) if "extends" in table else Scene((), ())
         boxes = tuple(Box(**_tuples(t)) for t in table.get("environment", []))
         bodies = tuple(BodySpec(**_tuples(t)) for t in table.get("body", []))
-    except OSError as error:
-        raise AssetError(f"the scene file {path.name} cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, TypeError) as error:
+        cameras = tuple(CameraSpec(t.pop("name"), t) for t in (_tuples(t) for t in table.get("camera", [])))
+    except (OSError, UnicodeDecodeError) as error:
+        raise AssetError(f"the scene file {path.name} cannot be read: {error}") from None
+    except KeyError:
+        raise AssetError(f"the scene file {path.name} is malformed: a camera needs a name") from None
+    except (tomllib.TOMLDecodeError, TypeError, RecursionError) as error:
         raise AssetError(f"the scene file {path.name} is malformed: {error}") from None
     for body in bodies:
-        if len(body.size) != {"sphere": 1, "box": 3}.get(body.shape):
-            raise AssetError(f'{path.name}: obstacle "{body.name}" must be a sphere with one size or a box with three')
-    return Scene(boxes, bodies)
+        if len(body.size) != {"sphere": 1, "capsule": 2, "box": 3}.get(body.shape):
+            raise AssetError(f'{path.name}: obstacle "{body.name}" must be a sphere with one size, a capsule with two or a '
+                             "box with three")
+    scene = Scene(base.environment + boxes, base.bodies + bodies, base.cameras + cameras)
+    for kind, entries in (("obstacle", scene.bodies), ("camera", scene.cameras)):
+        names = [entry.name for entry in entries]
+        if len(set(names)) < len(names):
+            raise AssetError(f"{path.name}: two {kind}s have the same name: {', '.join(names)}")
+    return scene
 
 
 def _tuples(table: dict[str, Any]) -> dict[str, Any]:

@@ -2,5 +2,7 @@
 
 from hypothesis import settings
 
+import app.bench  # noqa: F401  (before MuJoCo, whose graphics it chooses)
+
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.load_profile("same")

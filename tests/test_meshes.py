@@ -176,3 +176,13 @@ def test_arrays_cannot_be_changed():
 def test_an_unknown_detail_is_named():
     with pytest.raises(AssetError, match="perception"):
         meshes.robot("perceptive")
+
+
+def test_a_capsule_is_closed_and_as_large_as_it_says():
+    mesh = meshes.capsule(0.04, 0.085)
+    surface = as_trimesh(mesh)
+    assert surface.is_watertight
+    assert surface.volume == pytest.approx(np.pi * 0.04**2 * (0.17 + 4 / 3 * 0.04), rel=0.03)
+    np.testing.assert_allclose(surface.bounds, [[-0.04, -0.04, -0.125], [0.04, 0.04, 0.125]], atol=1e-9)
+    with pytest.raises(AssetError, match="capsule"):
+        meshes.shape("cone", (0.1,))

@@ -29,10 +29,10 @@ def pins(lock: str) -> dict[str, str]:
 
 
 def wanted(lock: str) -> list[Requirement]:
-    """What pyproject.toml asks of a lock file: the run set with all extras, the build backend, and in one the tools."""
+    """What pyproject.toml asks of a lock file: what runs, with the extras of `all`, the build backend, and in one the tools."""
     project, groups = PROJECT["project"], PROJECT["dependency-groups"]
     texts = [*PROJECT["build-system"]["requires"], *project["dependencies"], *groups["build"]]
-    texts += [text for extra in project["optional-dependencies"].values() for text in extra]
+    texts += [text for name, extra in project["optional-dependencies"].items() if name != "bench" for text in extra]
     if lock == "requirements-dev.lock":
         texts += [text for text in groups["dev"] if isinstance(text, str)]
     return [requirement for requirement in map(Requirement, texts) if requirement.name != project["name"]]

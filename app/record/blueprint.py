@@ -1,12 +1,14 @@
 """The layout in which the viewer opens a session; it is embedded in the recording."""
 
+from collections.abc import Sequence
+
 import rerun.blueprint as rrb
 
 from app.record import entities
 
 
-def review() -> rrb.Blueprint:
-    """3D scene, state and events on the left; images and plots on the right."""
+def review(cameras: Sequence[str]) -> rrb.Blueprint:
+    """3D scene, state and events on the left; images (a tab for each camera) and plots on the right."""
     scene = rrb.Spatial3DView(
         name="Scene", origin=entities.WORLD, background=[24, 27, 33],
         eye_controls=rrb.EyeControls3D(position=(1.5, -0.9, 1.2), look_target=(-0.2, 0.0, 0.5), eye_up=(0, 0, 1)))
@@ -14,11 +16,14 @@ def review() -> rrb.Blueprint:
     parameters = rrb.TextDocumentView(name="Parameters", origin=entities.PARAMETERS)
     left = rrb.Vertical(scene, rrb.StateTimelineView(name="State", origin="/state"), rrb.Tabs(events, parameters),
                         row_shares=[6, 1.2, 1.8])
-    images = rrb.Horizontal(_image("Depth", entities.DEPTH), _image("Links seen", entities.LINK_IDS))
+    pairs = [rrb.Horizontal(_image("Depth", name, entities.depth(name)), _image("Links seen", name, entities.link_ids(name)),
+                            name=name) for name in cameras]
+    images = pairs[0] if len(pairs) == 1 else rrb.Tabs(*pairs)
     more = rrb.Tabs(
         _plot("End effector [m]", "ee", "ee_desired"), _plot("Joint positions [rad]", "q"),
         _plot("Joint velocities [rad/s]", "dq", "dq_command"), _plot("Torques [N m]", "tau"),
-        _plot("Distance [m]", "distance_min"), _plot("Link: estimate, truth", "contact_link_est", "contact_link_true"),
+        _plot("Distance [m]", *(f"clearance_{link}" for link in range(1, 8))),
+        _plot("Link: estimate, truth", "contact_link_est", "contact_link_true"),
         _plot("Admittance error [m]", "admittance_error"), _plot("Power [W]", "contact_power"),
         _plot("sigma_min [m]", "sigma_min"))
     right = rrb.Vertical(images, _plot("Contact force [N]: estimate, truth", "force_est", "force_true"),
@@ -29,8 +34,8 @@ def review() -> rrb.Blueprint:
         rrb.BlueprintPanel(state="collapsed"))
 
 
-def _image(name: str, entity: str) -> rrb.Spatial2DView:
-    return rrb.Spatial2DView(name=name, origin=entities.CAMERA, contents=[entity])
+def _image(name: str, camera: str, entity: str) -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(name=name, origin=entities.camera(camera), contents=[entity])
 
 
 def _plot(name: str, *signals: str) -> rrb.TimeSeriesView:

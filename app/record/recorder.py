@@ -17,13 +17,13 @@ from app.record.signals import WIDTH, row
 from app.record.writer import SessionWriter
 from hrc.errors import HrcError, unknown
 from hrc.events import to_dict
-from hrc.messages import Body, DepthFrame, Mode, RobotImage, Snapshot
+from hrc.messages import Body, Clearance, DepthFrame, Mode, Nearest, RobotImage, Snapshot, View
 from hrc.scene import Scene
 from hrc.vision.camera import Camera
 
 Depth = Literal["none", "sampled", "full"]
 SAMPLED_HZ = 5
-"""Depth images a second that a sampled recording keeps."""
+"""Depth images a second that a sampled recording keeps of each camera."""
 _BLOCK = 100
 """Rows a block: half a second of signals."""
 _POSE_EVERY = 4
@@ -49,23 +49,26 @@ class _Block:
         self.nearest: list[Any] = []
         self.pulls: list[Any] = []
         self.bodies: list[tuple[Body, ...]] = []
+        self.clearances: list[tuple[Clearance, ...]] = []
+        self.touches: list[tuple[Nearest, ...]] = []
 
 
 class Recorder:
     """Writes `path` (.rrd) while it observes a run; call `close`, or use it as a context manager.
 
-    depth: which depth images to keep. base_hz: ticks a second. wait: let the loop wait for the worker rather than drop
-    depth images, for runs without a wall clock. Raises RecordingError if the file cannot be written.
+    cameras: by name. depth: which depth images to keep. base_hz: ticks a second. wait: let the loop wait for the worker rather
+    than drop depth images, for runs without a wall clock. Raises RecordingError if the file cannot be written.
     """
 
-    def __init__(self, path: Path, *, base_hz: int, scene: Scene, camera: Camera, parameters: Mapping[str, Any],
-                 about: Mapping[str, Any], depth: Depth = "sampled", wait: bool = False) -> None:
+    def __init__(self, path: Path, *, base_hz: int, scene: Scene, cameras: Mapping[str, Camera],
+                 parameters: Mapping[str, Any], about: Mapping[str, Any], depth: Depth = "sampled", wait: bool = False) -> None:
         if depth not in get_args(Depth):
             raise RecordingError(unknown("choice of depth", depth, get_args(Depth)))
         self._folder = path.resolve().parent
         self._depth, self._wait = depth, wait
         self._image_gap = 1 if depth == "full" else base_hz // SAMPLED_HZ
-        self._next_image = 0
+        self._next_image = dict.fromkeys(cameras, 0)
+        self._silent: dict[str, bool] = {}
         self._mode: Mode | None = None
         self._block = _Block()
         self._control_ticks = 0
@@ -76,7 +79,7 @@ class Recorder:
         self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._failure: Exception | None = None
         try:
-            self._writer = SessionWriter(path, tick_ns=1_000_000_000 // base_hz, scene=scene, camera=camera,
+            self._writer = SessionWriter(path, tick_ns=1_000_000_000 // base_hz, scene=scene, cameras=cameras,
                                          parameters=parameters, about=about)
         except (OSError, RuntimeError) as error:
             raise RecordingError(f"cannot record to {path}: {error}") from None
@@ -94,8 +97,12 @@ class Recorder:
             self._put(self._writer.mode, snapshot.tick, self._mode, snapshot.command.reason)
         if snapshot.fresh_control:
             self._take_row(snapshot)
-        if snapshot.fresh_frame and self._depth != "none" and snapshot.frame and snapshot.robot_image:
-            self._take_image(snapshot.frame, snapshot.robot_image)
+        for view in snapshot.views:
+            if view.silent is not self._silent.get(view.camera):
+                self._silent[view.camera] = view.silent
+                self._put(self._writer.camera, snapshot.tick, view.camera, silent=view.silent)
+            if snapshot.fresh_frame and self._depth != "none":
+                self._take_image(view)
 
     def close(self) -> None:
         """Write what is left and finish the file. Raises RecordingError if anything of the session was lost."""
@@ -129,19 +136,23 @@ class Recorder:
             block.nearest.append(snapshot.nearest.p_world if snapshot.nearest else None)
             block.pulls.append(snapshot.pull)
             block.bodies.append(snapshot.bodies)
+            block.clearances.append(snapshot.clearances)
+            block.touches.append(snapshot.touches)
         self._control_ticks += 1
         if block.n == _BLOCK:
             self._deliver()
 
-    def _take_image(self, frame: DepthFrame, robot: RobotImage) -> None:
-        if frame.tick < self._next_image:
+    def _take_image(self, view: View) -> None:
+        camera, frame, robot = view.camera, view.frame, view.robot_image
+        if frame is None or robot is None or frame.tick < self._next_image[camera]:
             return
         if not self._images.acquire(blocking=self._wait):
             self.images_dropped += 1
+            self._next_image[camera] = frame.tick + 1
             return
         # The first frame in each gap, so that the mean rate is exact whatever the camera's.
-        self._next_image = (frame.tick // self._image_gap + 1) * self._image_gap
-        self._jobs.put(lambda: self._release_after(frame, robot))
+        self._next_image[camera] = (frame.tick // self._image_gap + 1) * self._image_gap
+        self._jobs.put(lambda: self._release_after(camera, frame, robot))
 
     def _deliver(self) -> None:
         block, self._block = self._block, _Block()
@@ -171,15 +182,16 @@ class Recorder:
         if block.pose_ticks:
             self._writer.poses(block.pose_ticks, block.poses, block.nearest, block.pulls)
             self._writer.bodies(block.pose_ticks, block.bodies)
+            self._writer.distances(block.pose_ticks, block.clearances, block.touches)
 
-    def _release_after(self, frame: DepthFrame, robot: RobotImage) -> None:
+    def _release_after(self, camera: str, frame: DepthFrame, robot: RobotImage) -> None:
         try:
-            self._guarded(self._write_image, frame, robot)
+            self._guarded(self._write_image, camera, frame, robot)
         finally:  # whatever became of the image: the loop may be waiting for its place
             self._images.release()
 
-    def _write_image(self, frame: DepthFrame, robot: RobotImage) -> None:
-        self._writer.image(frame.tick, frame.depth, robot.link)
+    def _write_image(self, camera: str, frame: DepthFrame, robot: RobotImage) -> None:
+        self._writer.image(camera, frame.tick, frame.depth, robot.link)
         self.images_kept += 1
 
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,8 @@ Columns = Mapping[str, NDArray[Any]]
 MODES = tuple(Mode)
 _CODE = {mode: code for code, mode in enumerate(MODES)}
 _ROWS = 1000
+MOST_TOUCHES = 4
+"""Touches a row has room for."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +48,20 @@ SIGNALS = (
     Signal("contact_point_est", 3, "m", "estimated contact point; NaN without a contact"),
     Signal("contact_point_true", 3, "m", "true contact point; NaN without a contact"),
     Signal("contact_link_est", 1, "1", "estimated link in contact; -1 without a contact", "int"),
+    Signal("contact_seen", 1, "1", "whether a camera sees an obstacle at the estimated contact; else it is felt alone", "bool"),
+    Signal("contact_radius", 1, "m", "radius around the estimated point, holds the contact with 90 %; NaN without a contact"),
     Signal("contact_link_true", 1, "1", "true link in contact; -1 without a contact", "int"),
     Signal("contact_visible", 1, "1", "whether a noise-free camera would see the true contact point", "bool"),
     Signal("contact_power", 1, "W", "estimated force times the commanded velocity of the contact point; "
                                     "NaN without a contact"),
-    Signal("distance_min", 1, "m", "distance of the robot to the nearest obstacle; NaN with none in sight"),
+    Signal("distance_min", 1, "m", "distance of the nearest point at which a contact is looked for; NaN with none"),
+    *(Signal(f"clearance_{link}", 1, "m", f"distance of link {link} to the nearest obstacle; inf with none in range")
+      for link in range(1, 8)),
+    Signal("touches", 1, "1", "separate places where an obstacle is as near as in a contact", "int"),
+    Signal("touch_links", MOST_TOUCHES, "1", "link of each touch; NaN beyond the last"),
+    Signal("touch_points", 3 * MOST_TOUCHES, "m", "point of each touch, one after another; NaN beyond the last"),
+    Signal("touch_sure", MOST_TOUCHES, "1", "1 where the touch is sure, 0 where it may be hidden; NaN beyond the last"),
+    Signal("silent_cameras", 1, "1", "cameras without images: 1 for the first, plus 2 for the second, plus 4 ...", "int"),
     Signal("sigma_min", 1, "m", "smallest singular value of the contact Jacobian, Eq. (10); NaN without a contact"),
     Signal("admittance_error", 3, "m", "admittance error x_cd - x_c; zero outside ABORT"),
     Signal("state", 1, "text", "mode of the reaction", "mode"),
@@ -72,17 +84,25 @@ _NAN = float("nan")
 def row(snapshot: Snapshot) -> NDArray[np.float64]:
     """The signals of one snapshot in the order of `SIGNALS`, shape (WIDTH,); whole numbers are exact in float64."""
     state, command, truth, contact = snapshot.state, snapshot.command, snapshot.truth, snapshot.contact
-    nearest = snapshot.nearest
+    nearest, touches = snapshot.nearest, snapshot.touches
     if contact is None:
         force = point = np.full(3, _NAN)
-        link, power, sigma_min = -1, _NAN, _NAN
+        link, power, sigma_min, seen, radius = -1, _NAN, _NAN, False, _NAN
     else:
         force, point, link, sigma_min = contact.F_world, contact.p_world, contact.link, contact.sigma_min
-        power = float(force @ (contact.J_c @ command.dq))
+        power, seen, radius = float(force @ (contact.J_c @ command.dq)), contact.seen, contact.radius
+    clearance = [math.inf] * 8
+    for c in snapshot.clearances:
+        clearance[c.link] = min(clearance[c.link], c.distance)
+    links, points, sure = np.full(MOST_TOUCHES, _NAN), np.full((MOST_TOUCHES, 3), _NAN), np.full(MOST_TOUCHES, _NAN)
+    for i, touch in enumerate(touches):
+        links[i], points[i], sure[i] = touch.link, touch.p_world, touch.sure
+    silent = sum(1 << i for i, view in enumerate(snapshot.views) if view.silent)
     return np.concatenate([
         (snapshot.tick, snapshot.time), state.q, state.dq, command.dq, state.tau, snapshot.residual,
         command.x, command.x_d, force, truth.F_world, point, truth.p_world,
-        (link, truth.link, truth.visible, power, nearest.distance if nearest else _NAN, sigma_min),
+        (link, seen, radius, truth.link, truth.visible, power, nearest.distance if nearest else _NAN),
+        clearance[1:], (len(touches),), links, points.ravel(), sure, (silent, sigma_min),
         command.admittance_error, (_CODE[command.mode],),
     ])
 

@@ -14,21 +14,24 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from app import palette
 from app.record import blueprint, entities, png
 from app.record.signals import AT, SIGNALS
 from hrc import meshes
-from hrc.messages import LINKS, Body, Mode
+from hrc.messages import LINKS, Body, Clearance, Mode, Nearest
 from hrc.scene import BodySpec, Scene
 from hrc.vision.camera import Camera
 
 Poses = NDArray[np.float64]
 APPLICATION = "elbowroom"
+PLOTTED = tuple(s for s in SIGNALS if s.name not in ("tick", "t", "state", "touch_links", "touch_points", "touch_sure"))
+"""Signals as curves; the others have entities of their own."""
 
 
 class SessionWriter:
     """A Rerun recording in a file. Times are ticks of the base rate; `tick_ns` is the length of one."""
 
-    def __init__(self, path: Path, *, tick_ns: int, scene: Scene, camera: Camera, parameters: Mapping[str, Any],
+    def __init__(self, path: Path, *, tick_ns: int, scene: Scene, cameras: Mapping[str, Camera], parameters: Mapping[str, Any],
                  about: Mapping[str, Any]) -> None:
         self._tick_ns = tick_ns
         self._colours = {body.name: entities.bytes_of(body.rgb) for body in scene.bodies}
@@ -38,20 +41,21 @@ class SessionWriter:
         batching = rr.ChunkBatcherConfig(flush_tick=0.25)
         self._stream = rr.RecordingStream(APPLICATION, batcher_config=batching)
         self._stream.set_log_time_enabled(False)
-        self._stream.set_sinks(rr.FileSink(os.fspath(path)), default_blueprint=blueprint.review())
+        self._stream.set_sinks(rr.FileSink(os.fspath(path)), default_blueprint=blueprint.review(tuple(cameras)))
         self._log_session(parameters, about)
-        self._log_scene(scene, camera)
+        self._log_scene(scene)
+        for name, camera in cameras.items():
+            self._log_camera(name, camera)
         self._log_styles()
 
     def rows(self, rows: NDArray[np.float64]) -> None:
         """Signals of consecutive control ticks, shape (n, WIDTH), and the contact they hold."""
         ticks = rows[:, AT["tick"]][:, 0].astype(np.int64)
         index = self._index(ticks)
-        for signal in SIGNALS:
-            if signal.name not in ("tick", "t", "state"):
-                values = np.ascontiguousarray(rows[:, AT[signal.name]])
-                self._stream.send_columns(f"{entities.SIGNALS}/{signal.name}", index,
-                                          rr.Scalars.columns(scalars=values))
+        for signal in PLOTTED:
+            values = np.array(rows[:, AT[signal.name]])
+            values[np.isinf(values)] = np.nan  # a curve has a gap where there is nothing
+            self._stream.send_columns(f"{entities.SIGNALS}/{signal.name}", index, rr.Scalars.columns(scalars=values))
         self._point(entities.REFERENCE, index, rows[:, AT["ee_desired"]])
         for name, point, force in (("est", entities.POINT_EST, entities.FORCE_EST),
                                    ("true", entities.POINT_TRUE, entities.FORCE_TRUE)):
@@ -73,6 +77,20 @@ class SessionWriter:
         self._stream.send_columns(entities.PULL, index,
                                   rr.LineStrips3D.columns(strips=strips).partition(held.astype(int)))
 
+    def distances(self, ticks: Sequence[int], clearances: Sequence[tuple[Clearance, ...]],
+                  touches: Sequence[tuple[Nearest, ...]]) -> None:
+        """The lines from links to obstacles, and the places of touch, at the same ticks."""
+        index = self._index(np.array(ticks, np.int64))
+        every = [c for some in clearances for c in some]
+        strips = np.array([(c.p_robot, c.p_obstacle) for c in every], np.float32).reshape(-1, 2, 3)
+        columns = rr.LineStrips3D.columns(strips=list(strips), colors=palette.by_distance([c.distance for c in every]))
+        self._stream.send_columns(entities.DISTANCES, index, columns.partition([len(some) for some in clearances]))
+        found = [touch for some in touches for touch in some]
+        points = np.array([touch.p_world for touch in found], np.float32).reshape(-1, 3)
+        colours = np.array([palette.TOUCH if touch.sure else palette.UNSURE for touch in found], np.uint8).reshape(-1, 3)
+        columns = rr.Points3D.columns(positions=points, colors=colours)
+        self._stream.send_columns(entities.TOUCHES, index, columns.partition([len(some) for some in touches]))
+
     def bodies(self, ticks: Sequence[int], bodies: Sequence[tuple[Body, ...]]) -> None:
         """Obstacles at the same ticks; one that comes or goes is drawn or cleared."""
         seen: dict[str, list[tuple[int, Body]]] = {}
@@ -89,12 +107,19 @@ class SessionWriter:
                     self._at(tick)
                     self._stream.log(entity, self._shape(body, shown=body.present))
 
-    def image(self, tick: int, depth: NDArray[np.float32], link: NDArray[np.uint8]) -> None:
-        """A depth image [m] with the link ids seen in it, at its exposure."""
+    def image(self, camera: str, tick: int, depth: NDArray[np.float32], link: NDArray[np.uint8]) -> None:
+        """A camera's depth image [m] with the link ids seen in it, at its exposure."""
         blob = png.encode(png.millimetres(depth))
         self._at(tick)
-        self._stream.log(entities.DEPTH, rr.EncodedDepthImage.from_fields(blob=blob))
-        self._stream.log(entities.LINK_IDS, rr.SegmentationImage(link))
+        self._stream.log(entities.depth(camera), rr.EncodedDepthImage.from_fields(blob=blob))
+        self._stream.log(entities.link_ids(camera), rr.SegmentationImage(link))
+
+    def camera(self, tick: int, camera: str, *, silent: bool) -> None:
+        """A camera falls silent, or delivers images again."""
+        state = entities.SILENT if silent else entities.DELIVERS
+        self._at(tick)
+        self._stream.log(entities.camera_state(camera), rr.StateChange(state=state))
+        self._stream.log(entities.EVENTS, rr.TextLog(f"camera {camera} {state}", level="WARN" if silent else "INFO"))
 
     def mode(self, tick: int, mode: Mode, reason: str) -> None:
         """A transition of the reaction."""
@@ -157,11 +182,15 @@ class SessionWriter:
         rgb = colour or entities.bytes_of(meshes.COLOURS[link])
         self._stream.log(f"{entities.ROBOT}/{LINKS[link]}", rr.Mesh3D.from_fields(albedo_factor=[*rgb, 255]))
 
-    def _shape(self, body: Body | BodySpec, *, shown: bool) -> rr.Boxes3D | rr.Ellipsoids3D:
+    def _shape(self, body: Body | BodySpec, *, shown: bool) -> rr.Boxes3D | rr.Ellipsoids3D | rr.Capsules3D:
         colour = [self._colours.get(body.name, (224, 172, 140))]
         if body.shape == "sphere":
             half = [(body.size[0],) * 3] if shown else []
             return rr.Ellipsoids3D(half_sizes=half, colors=colour, fill_mode="solid")
+        if body.shape == "capsule":
+            radius, half_length = body.size
+            return rr.Capsules3D(lengths=[2.0 * half_length] if shown else [], radii=[radius] if shown else [],
+                                 translations=[(0.0, 0.0, -half_length)] if shown else [], colors=colour, fill_mode="solid")
         return rr.Boxes3D(half_sizes=[body.size] if shown else [], colors=colour, fill_mode="solid")
 
     def _log_session(self, parameters: Mapping[str, Any], about: Mapping[str, Any]) -> None:
@@ -173,7 +202,7 @@ class SessionWriter:
         text = "\n".join(["| parameter | at the start |", "|---|---|", *lines])
         self._log_static(entities.PARAMETERS, rr.TextDocument(text, media_type="text/markdown"))
 
-    def _log_scene(self, scene: Scene, camera: Camera) -> None:
+    def _log_scene(self, scene: Scene) -> None:
         self._log_static(entities.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         for box in scene.environment:
             shape = rr.Boxes3D(centers=[box.centre], half_sizes=[box.half], colors=[entities.bytes_of(box.rgb)],
@@ -187,17 +216,20 @@ class SessionWriter:
         for body in scene.bodies:
             self._present[body.name] = False
             self._stream.log(f"{entities.OBSTACLES}/{body.name}", self._shape(body, shown=False))
-        c = camera.config
-        self._log_static(entities.CAMERA, rr.Transform3D(translation=camera.T_world_camera[:3, 3],
-                                                         mat3x3=camera.T_world_camera[:3, :3]))
+        self._log_static(entities.CAMERAS, rr.AnnotationContext(list(entities.LINK_CLASSES)))
+
+    def _log_camera(self, name: str, camera: Camera) -> None:
+        c, entity = camera.config, entities.camera(name)
+        self._log_static(entity, rr.Transform3D(translation=camera.T_world_camera[:3, 3],
+                                                mat3x3=camera.T_world_camera[:3, :3]))
         K = [[c.fx, 0.0, c.cx], [0.0, c.fy, c.cy], [0.0, 0.0, 1.0]]
-        self._log_static(entities.CAMERA, rr.Pinhole(
+        self._log_static(entity, rr.Pinhole(
             image_from_camera=K, resolution=[c.width, c.height], camera_xyz=rr.ViewCoordinates.RDF,
             image_plane_distance=0.25))
-        self._log_static(entities.CAMERA, rr.AnnotationContext(list(entities.LINK_CLASSES)))
-        self._log_static(entities.DEPTH, rr.EncodedDepthImage.from_fields(
+        self._log_static(entities.depth(name), rr.EncodedDepthImage.from_fields(
             media_type="image/png", meter=1000.0, colormap="viridis", depth_range=[500.0, 4500.0],
             point_fill_ratio=0.5))
+        self._log_static(entities.camera_state(name), _states(entities.CAMERA_COLOURS))
 
     def _log_styles(self) -> None:
         for entity, colour, radius in (
@@ -207,20 +239,25 @@ class SessionWriter:
         for entity, colour in ((entities.FORCE_EST, entities.ESTIMATE), (entities.FORCE_TRUE, entities.TRUTH)):
             self._log_static(entity, rr.Arrows3D.from_fields(colors=[colour], radii=[0.008]))
         self._log_static(entities.PULL, rr.LineStrips3D.from_fields(colors=[(255, 220, 80)], radii=[0.004]))
-        for signal in SIGNALS:
-            if signal.name not in ("tick", "t", "state"):
-                self._log_static(f"{entities.SIGNALS}/{signal.name}", _series(signal.name, signal.width))
-        self._log_static(entities.STATE, rr.StateConfiguration(
-            values=[mode.value for mode in entities.MODES], labels=[mode.value for mode in entities.MODES],
-            colors=[(*colour, 255) for colour in entities.MODES.values()]))
+        self._log_static(entities.DISTANCES, rr.LineStrips3D.from_fields(radii=[0.0025]))
+        self._log_static(entities.TOUCHES, rr.Points3D.from_fields(radii=[0.014]))
+        for signal in PLOTTED:
+            self._log_static(f"{entities.SIGNALS}/{signal.name}", _series(signal.name, signal.width))
+        self._log_static(entities.STATE, _states({mode.value: colour for mode, colour in entities.MODES.items()}))
 
     def _log_static(self, entity: str, archetype: Any) -> None:
         self._stream.log(entity, archetype, static=True)
 
 
+def _states(colours: Mapping[str, palette.Colour]) -> rr.StateConfiguration:
+    names = list(colours)
+    return rr.StateConfiguration(values=names, labels=names, colors=[(*colour, 255) for colour in colours.values()])
+
+
 def _series(name: str, width: int) -> rr.SeriesLines:
-    palette = {7: entities.JOINTS, 3: entities.AXES, 1: (entities.SIGHT,)}[width]
+    single = palette.LINKS[int(name[-1])] if name.startswith("clearance_") else entities.SIGHT
+    curves = {7: entities.JOINTS, 3: entities.AXES, 1: (single,)}[width]
     axes = {7: [f" {joint}" for joint in range(1, 8)], 3: [" x", " y", " z"], 1: [""]}[width]
     secondary = name.endswith(("_true", "_desired", "_command"))
-    colours = [entities.dimmed(colour) if secondary else colour for colour in palette]
+    colours = [entities.dimmed(colour) if secondary else colour for colour in curves]
     return rr.SeriesLines(names=[name + axis for axis in axes], colors=colours, widths=[1.2] * width)

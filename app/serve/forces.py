@@ -61,7 +61,8 @@ class ForceView:
                 self._estimate.hide()
             else:
                 self._contact.position = contact.p_world
-                self._draw(self._estimate, contact.p_world, contact.F_world, "estimate", outward)
+                name = "estimate" if contact.seen else "felt, not seen,"
+                self._draw(self._estimate, contact.p_world, contact.F_world, name, outward)
             self._draw(self._truth, snapshot.truth.p_world, snapshot.truth.F_world, "true", outward)
             if pull is None or not self.show_forces:
                 self._pull.hide()

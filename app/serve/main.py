@@ -11,6 +11,8 @@ from typing import Any
 
 from viser.theme import TitlebarConfig, TitlebarImage
 
+from app.serve.cameras import CameraView
+from app.serve.distances import DistanceView
 from app.serve.forces import ForceView
 from app.serve.guard import Guard
 from app.serve.hands import Hands
@@ -23,7 +25,7 @@ from app.serve.scene import SceneView
 from app.serve.session import Session
 from app.serve.signals import SignalView
 from hrc.cell import scenario as scenarios
-from hrc.scene import load_scene
+from hrc.cell.eyes import rig
 from hrc.vision.kernels import check_device
 
 LOGO = TitlebarConfig(buttons=None, image=TitlebarImage(
@@ -39,26 +41,33 @@ class Page:
                  say: Callable[[str], None] = print) -> None:
         """Bind the port and build the page; the cell starts with `start`.
 
-        Raises ScenarioError, ConfigError or DeviceError for what cannot be run, PageError for an address that cannot be served.
+        Raises ScenarioError, ConfigError, AssetError or DeviceError for what cannot be run, and PageError for an address
+        that cannot be served.
         """
         check_device(device)
         mailbox = Mailbox()
         self.journal = Journal(lambda: mailbox.latest.time if mailbox.latest is not None else 0.0)
         self.session = Session(mailbox, device=device, settings=dict(settings), seed=seed, say=say)
-        config, scene = self.session.check(scenario), load_scene()
+        config = self.session.check(scenario)
+        rig(config)
         self.guard = Guard(token)
         self.server = self.guard.open(host, port, "Elbowroom")
         self.url = f"http://{host}:{self.server.get_port()}/" + (f"?token={token}" if token else "")
         self._scenario = scenario
         self.server.gui.configure_theme(titlebar_content=LOGO, dark_mode=True, brand_color=BRAND, show_logo=False,
                                         show_share_button=False)
-        view, forces = SceneView(self.server, scene), ForceView(self.server)
+        view, forces, cameras = SceneView(self.server), ForceView(self.server), CameraView(self.server)
+        distances, signals = DistanceView(self.server), SignalView(self.server)
         obstacles = ObstacleControls(self.server, self.session, view, self.journal.refuse)
         listed = dict.fromkeys((*scenarios.names(), scenario))
-        panel = Panel(self.server, self.session, scenarios=tuple(listed), scenario=scenario, config=config, view=view,
-                      forces=forces, obstacles=obstacles, journal=self.journal)
+        layers = {
+            "Forces": _switch(forces, "show_forces"), "Distances and touches": _switch(distances, "show_distances"),
+            "Foreground points": _switch(cameras, "show_cloud"), "Depth cameras": _switch(cameras, "show_cameras"),
+            "Camera images": _switch(signals.images, "show_images"), "Path of the tool": _switch(view, "show_trail")}
+        panel = Panel(self.server, self.session, scenarios=tuple(listed), scenario=scenario, config=config, look=view.look,
+                      layers=layers, obstacles=obstacles, journal=self.journal)
         self._hands = Hands(self.server, self.session, view, self.journal.refuse)
-        screen = Screen(view, forces, obstacles, panel, SignalView(self.server), self.journal)
+        screen = Screen(view, forces, cameras, distances, obstacles, panel, signals, self.journal)
         self._publisher = Publisher(self.server, self.session, mailbox, screen, config)
 
     def start(self) -> None:
@@ -75,6 +84,11 @@ class Page:
             self.server.stop()
 
 
+def _switch(part: object, name: str) -> Callable[[bool], None]:
+    """What a checkbox does: show a part of the screen, or not."""
+    return lambda shown: setattr(part, name, shown)
+
+
 def serve(scenario: str = "free", host: str = "127.0.0.1", port: int = 8080, device: str = "cpu",
           settings: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), seed: int = 0, open_browser: bool = False,
           token: str | None = None) -> None:
@@ -83,7 +97,7 @@ def serve(scenario: str = "free", host: str = "127.0.0.1", port: int = 8080, dev
     settings: parameters by key, over the scenario's own. token: what a visitor must know when the host is not this
     machine's own; by default the environment's ELBOWROOM_TOKEN.
 
-    Raises ScenarioError, ConfigError, DeviceError or PageError before anything is served.
+    Raises ScenarioError, ConfigError, AssetError, DeviceError or PageError before anything is served.
     """
     print("loading ...", flush=True)
     page = Page(scenario, host=host, port=port, device=device, settings=settings, seed=seed,

@@ -31,7 +31,7 @@ class ObstacleControls:
         self._boxes: dict[str, viser.GuiCheckboxHandle] = {}
         self._asked: dict[str, Vector] = {}
         self._grabbed: dict[int, tuple[str, np.ndarray]] = {}
-        self._draggable: set[str] = set()
+        self._draggable: dict[str, Any] = {}
         self._gizmos = {name: self._gizmo(name, home) for name, home in HOME.items()}
 
     def add_boxes(self) -> None:
@@ -73,9 +73,10 @@ class ObstacleControls:
 
     def _make_draggable(self, body: Body) -> None:
         """The body itself can be dragged too, in the plane of the screen."""
-        if body.name in self._draggable:
+        node = self._view.bodies[body.name]
+        if self._draggable.get(body.name) is node:  # another cell draws its own
             return
-        self._draggable.add(body.name)
+        self._draggable[body.name] = node
 
         async def on_drag(event: viser.SceneNodeDragEvent[Any]) -> None:
             if event.phase == "start":
@@ -89,7 +90,7 @@ class ObstacleControls:
                 if self._move(name, position):
                     self._gizmos[name].position = position
 
-        self._view.bodies[body.name].on_drag("left")(on_drag)
+        node.on_drag("left")(on_drag)
 
     def _on_box(self, name: str, home: Vector) -> Callable[[Any], Any]:
         async def on_update(event: viser.GuiEvent[Any]) -> None:

@@ -1,15 +1,14 @@
 """The left dock: banner, STOP, the run, tabs for contact, obstacles, view and log. Callbacks only hand things on."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import viser
 
 from app.serve.banner import banner, facts
-from app.serve.forces import ForceView
 from app.serve.journal import Journal
 from app.serve.obstacles import ObstacleControls
-from app.serve.scene import VIEWS, SceneView
+from app.serve.scene import VIEWS
 from app.serve.session import Session
 from hrc.config import Config
 from hrc.errors import HrcError
@@ -18,6 +17,7 @@ from hrc.messages import Mode, Snapshot
 from hrc.parameters import field_of, keys
 
 SLIDERS = {"control.f_relax": "F_relax", "control.f_abort": "F_abort", "push.stiffness": "Push stiffness"}
+UNPLUGGED = "sensor.unplugged"
 PLAY = ("Pause", "Play")
 STEP_TICKS = 10
 HINT = """<ul class="eb-hint">
@@ -33,15 +33,15 @@ class Panel:
     """The widgets, and how they follow the cell."""
 
     def __init__(self, server: viser.ViserServer, session: Session, *, scenarios: Sequence[str], scenario: str,
-                 config: Config, view: SceneView, forces: ForceView, obstacles: ObstacleControls,
-                 journal: Journal) -> None:
-        self._server, self._session, self._journal = server, session, journal
-        self._view, self._forces = view, forces
+                 config: Config, look: Callable[[viser.ClientHandle, str], None],
+                 layers: Mapping[str, Callable[[bool], None]], obstacles: ObstacleControls, journal: Journal) -> None:
+        """look: moves one browser's view. layers: what can be shown or not, by its label."""
+        self._server, self._session, self._journal, self._config = server, session, journal, config
         self._beat = 0
         gui = server.gui
         gui.main_panel.dock_left()
         gui.main_panel.set_width(WIDTH)
-        self._banner = gui.add_html(banner(facts(session, None), 0))
+        self._banner = gui.add_html(banner(facts(session, None, config), 0))
         self._stop = gui.add_button("STOP (Esc)", color="red", icon=viser.Icon.HAND_STOP,
                                     hint="The arm stands still until Resume")
         self._resume = gui.add_button("Resume", color="green", icon=viser.Icon.PLAYER_PLAY, visible=False)
@@ -55,11 +55,12 @@ class Panel:
                                               hint="A choice starts a new cell")
         tabs = gui.add_tab_group()
         with tabs.add_tab("Contact", viser.Icon.HAND_FINGER):
-            self._sliders = {key: self._slider(config, key, label) for key, label in SLIDERS.items()}
+            self._inputs: dict[str, viser.GuiInputHandle[Any]] = {
+                key: self._slider(config, key, label) for key, label in SLIDERS.items()}
         with tabs.add_tab("Obstacles", viser.Icon.BALL_FOOTBALL):
             obstacles.add_boxes()
         with tabs.add_tab("View", viser.Icon.EYE):
-            self._add_view()
+            self._add_view(look, layers)
         with tabs.add_tab("Log", viser.Icon.LIST):
             self._log = gui.add_html(journal.html())
         self._connect()
@@ -67,7 +68,7 @@ class Panel:
     def update(self, snapshot: Snapshot | None) -> None:
         """Banner and buttons, as things are now."""
         self._beat += 1
-        known = facts(self._session, snapshot)
+        known = facts(self._session, snapshot, self._config)
         self._banner.content = banner(known, self._beat)
         self._resume.visible = known.mode == Mode.STOP.value
         self._run.options = (PLAY[self._session.paused], "Step", "Reset")
@@ -77,10 +78,11 @@ class Panel:
         self._log.content = self._journal.html()
 
     def show_parameters(self, config: Config) -> None:
-        """Set the sliders to what the cell has: after a start, a reset, or a change that it did not take."""
+        """Set the widgets to what the cell has: after a start, a reset, or a change that it did not take."""
+        self._config = config
         values = keys(config)
-        for key, slider in self._sliders.items():
-            slider.value = values[key]
+        for key, widget in self._inputs.items():
+            widget.value = values[key]
 
     def _slider(self, config: Config, key: str, label: str) -> viser.GuiSliderHandle[float]:
         """A slider made from the parameter's field: range, unit, and its docstring as the tooltip."""
@@ -89,36 +91,46 @@ class Panel:
         slider = self._server.gui.add_slider(
             f"{label} [{unit}]", min=low, max=high, step=0.5 if high - low < 200.0 else 10.0,
             initial_value=keys(config)[key], hint=type(getattr(config, group)).docs()[name])
+        slider.on_update(self._sets(key))
+        return slider
 
+    def _checkbox(self, key: str, label: str) -> viser.GuiCheckboxHandle:
+        group, name = key.split(".")
+        box = self._server.gui.add_checkbox(label, keys(self._config)[key],
+                                            hint=type(getattr(self._config, group)).docs()[name])
+        box.on_update(self._sets(key))
+        return box
+
+    def _sets(self, key: str) -> Callable[[Any], Any]:
         async def on_update(event: viser.GuiEvent[Any]) -> None:
             if event.client_id is not None:  # else it was set by `show_parameters`
                 self._put(SetParameter(key, event.target.value))
 
-        slider.on_update(on_update)
-        return slider
+        return on_update
 
-    def _add_view(self) -> None:
+    def _add_view(self, look: Callable[[viser.ClientHandle, str], None],
+                  layers: Mapping[str, Callable[[bool], None]]) -> None:
         gui = self._server.gui
         views = gui.add_button_group("Look from", tuple(VIEWS))
-        cloud, trail = gui.add_checkbox("Foreground points", True), gui.add_checkbox("Path of the tool", True)
-        forces, camera = gui.add_checkbox("Forces", True), gui.add_checkbox("Depth camera", True)
-        shadows = gui.add_checkbox("Shadows", False, hint="Costly without a graphics card")
 
-        async def look(event: viser.GuiEvent[Any]) -> None:
+        async def on_look(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
-                self._view.look(event.client, event.target.value)
+                look(event.client, event.target.value)
 
-        async def choose(_: viser.GuiEvent[Any]) -> None:
-            self._view.show_cloud, self._view.show_trail = cloud.value, trail.value
-            self._forces.show_forces, self._view.frustum.visible = forces.value, camera.value
+        def on_update(show: Callable[[bool], None]) -> Callable[[Any], Any]:
+            async def switch(event: viser.GuiEvent[Any]) -> None:
+                show(event.target.value)
 
-        async def light(_: viser.GuiEvent[Any]) -> None:
-            self._server.scene.configure_default_lights(cast_shadow=shadows.value)
+            return switch
 
-        views.on_click(look)
-        shadows.on_update(light)
-        for box in (cloud, trail, forces, camera):
-            box.on_update(choose)
+        async def light(event: viser.GuiEvent[Any]) -> None:
+            self._server.scene.configure_default_lights(cast_shadow=event.target.value)
+
+        views.on_click(on_look)
+        for label, show in layers.items():
+            gui.add_checkbox(label, True).on_update(on_update(show))
+        self._inputs[UNPLUGGED] = self._checkbox(UNPLUGGED, "Unplug the cameras")
+        gui.add_checkbox("Shadows", False, hint="Costly without a graphics card").on_update(light)
 
     def _connect(self) -> None:
         async def stop(_: Any) -> None:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import viser
 
+from app.serve.cameras import CameraView
+from app.serve.distances import DistanceView
 from app.serve.forces import ForceView
 from app.serve.journal import Journal
 from app.serve.mailbox import Mailbox
@@ -18,18 +20,18 @@ from app.serve.obstacles import ObstacleControls
 from app.serve.panel import Panel
 from app.serve.scene import SceneView
 from app.serve.session import Session
-from app.serve.sight import Sight
 from app.serve.signals import SignalView
+from hrc.cell.eyes import rig
 from hrc.config import Config
 from hrc.errors import ConfigError
 from hrc.events import Reset, SetParameter
 from hrc.messages import Snapshot
 from hrc.parameters import replaced
-from hrc.vision.camera import Camera
+from hrc.scene import load_scene
 
 POSE_HZ = 30
-CLOUD_EVERY, PANEL_EVERY, PICTURE_EVERY, TRAIL_EVERY = 2, 3, 4, 6
-"""In beats of POSE_HZ: cloud 15 Hz, banner and plot 10 Hz, depth picture 7.5 Hz, tool path 5 Hz."""
+CLOUD_EVERY, IMAGE_EVERY, PANEL_EVERY, TRAIL_EVERY = 2, 2, 3, 6
+"""In beats of POSE_HZ: cloud and camera images 15 Hz, banner and plot 10 Hz, tool path 5 Hz."""
 
 
 @dataclass
@@ -38,6 +40,8 @@ class Screen:
 
     view: SceneView
     forces: ForceView
+    cameras: CameraView
+    distances: DistanceView
     obstacles: ObstacleControls
     panel: Panel
     signals: SignalView
@@ -90,14 +94,15 @@ class Publisher:
     def _draw(self, beat: int, snapshot: Snapshot) -> None:
         self._screen.view.update_poses(snapshot)
         self._screen.forces.update(snapshot)
+        self._screen.distances.update(snapshot)
         if beat % CLOUD_EVERY == 0:
-            self._screen.view.update_cloud(snapshot, self._sight)
+            self._screen.cameras.update(snapshot)
         if beat % PANEL_EVERY == 1:
             self._screen.obstacles.update(snapshot)
             control = self._config.control
             self._screen.signals.update_plot(self._mailbox.forces(), control.f_relax, control.f_abort)
-        if beat % PICTURE_EVERY == 2:
-            self._screen.signals.update_picture(snapshot, self._sight)
+        if beat % IMAGE_EVERY == 1:
+            self._screen.signals.images.update(snapshot)
         if beat % TRAIL_EVERY == 3:
             self._screen.view.update_trail(snapshot)
 
@@ -120,13 +125,14 @@ class Publisher:
             self._screen.journal.refuse(str(error))
 
     def _begin(self, config: Config) -> None:
-        """Another cell: its camera, its parameters, and nothing left of the one before."""
+        """Another cell: its scene, its cameras, its parameters, and nothing left of the one before."""
         self._begun = config
-        camera = Camera(config.camera)
-        self._sight = Sight(camera)
-        self._screen.view.place_camera(camera)
+        scene = load_scene(config.scene)
+        cameras = rig(config, scene)
+        self._screen.view.begin(scene)
+        self._screen.cameras.begin(cameras)
+        self._screen.signals.images.begin(cameras)
         self._screen.obstacles.forget()
-        self._screen.view.forget_trail()
         self._adopt(config)
 
     def _adopt(self, config: Config) -> None:

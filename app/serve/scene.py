@@ -1,4 +1,4 @@
-"""The 3D mirror of a snapshot: robot, obstacles, what the camera saw of them, and the path of the tool."""
+"""The 3D mirror of a snapshot: robot, environment, obstacles, and the path of the tool."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -7,18 +7,15 @@ from typing import Any
 import numpy as np
 import viser
 
-from app.serve.sight import Sight, field_of_view
 from hrc import meshes
 from hrc.geometry import Array, quaternion_from_rotation
 from hrc.messages import LINKS, Body, Snapshot
 from hrc.scene import Scene
-from hrc.vision.camera import Camera
 
 EYE, TARGET = (1.9, 0.7, 1.1), (-0.2, 0.0, 0.45)
 """The first view, from the depth sensor's side: what the screen shows, the sensor can see."""
 VIEWS = {"Sensor": (EYE, TARGET), "Side": ((-0.3, 2.3, 0.9), (-0.25, 0.0, 0.45)),
          "Top": ((-0.29, 0.0, 2.9), (-0.3, 0.0, 0.3))}
-CLOUD_COLOUR = (64, 196, 255)
 TRAIL_COLOUR = (255, 214, 102)
 SKIN = (0.93, 0.72, 0.60)
 TRAIL_POINTS, TRAIL_STEP, TRAIL_GAP = 160, 0.006, 0.2
@@ -30,36 +27,37 @@ DIM = 0.5
 class SceneView:
     """Scene nodes that follow the snapshots. `shown` holds the link poses (8, 4, 4) that browsers have now."""
 
-    def __init__(self, server: viser.ViserServer, scene: Scene) -> None:
+    def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
-        self._colours = {spec.name: spec.rgb for spec in scene.bodies}
         self.shown: Array = np.tile(np.eye(4), (8, 1, 1))
         server.initial_camera.position, server.initial_camera.look_at = EYE, TARGET
         server.initial_camera.fov = 0.75
         server.scene.configure_default_lights(cast_shadow=False)
-        for box in scene.environment:
-            x, y, z = (2.0 * half for half in box.half)
-            colour = _rgb([DIM * channel for channel in box.rgb])
-            server.scene.add_box(f"/environment/{box.name}", colour, (x, y, z), position=box.centre)
         parts = [meshes.shaded(mesh) for mesh in meshes.robot("perception")]
         self.links = [
             server.scene.add_mesh_simple(f"/robot/{name}", mesh.vertices, mesh.faces, color=_rgb(colour))
             for name, mesh, colour in zip(LINKS, parts, meshes.COLOURS, strict=True)]
-        self.cloud = server.scene.add_point_cloud(
-            "/cloud", np.zeros((1, 3), np.float32), CLOUD_COLOUR, point_size=0.004, point_shape="circle",
-            point_shading="flat", visible=False)
         self.trail = server.scene.add_line_segments(
             "/trail", np.zeros((1, 2, 3), np.float32), TRAIL_COLOUR, thickness=0.004, visible=False)
         self._path: deque[Array] = deque(maxlen=TRAIL_POINTS)
         self.bodies: dict[str, Any] = {}
-        self.show_cloud = self.show_trail = True
+        self._environment: list[Any] = []
+        self._colours: dict[str, Sequence[float]] = {}
+        self.show_trail = True
 
-    def place_camera(self, camera: Camera) -> None:
-        """Draw the depth camera where it stands."""
-        fov, aspect, T = field_of_view(camera)
-        self.frustum = self._server.scene.add_camera_frustum(
-            "/camera", fov=fov, aspect=aspect, scale=0.12, color=(120, 130, 140), thickness=0.003,
-            wxyz=quaternion_from_rotation(T[:3, :3]), position=T[:3, 3])
+    def begin(self, scene: Scene) -> None:
+        """Another cell: its environment; obstacles are drawn when they are first seen; nothing left of the one before."""
+        for node in (*self._environment, *self.bodies.values()):
+            node.remove()
+        self.bodies.clear()
+        self._path.clear()
+        self._colours = {spec.name: spec.rgb for spec in scene.bodies}
+        self._environment = []
+        for box in scene.environment:
+            x, y, z = (2.0 * half for half in box.half)
+            colour = _rgb([DIM * channel for channel in box.rgb])
+            self._environment.append(
+                self._server.scene.add_box(f"/environment/{box.name}", colour, (x, y, z), position=box.centre))
 
     def look(self, client: viser.ClientHandle, view: str) -> None:
         """Move one browser's view."""
@@ -79,16 +77,6 @@ class SceneView:
                 if present:
                     node.position, node.wxyz = position, wxyz
         self.shown = snapshot.T_world_link
-
-    def update_cloud(self, snapshot: Snapshot, sight: Sight) -> None:
-        """The points of the foreground, as perception got them: robot and environment are already taken out."""
-        foreground = snapshot.foreground if self.show_cloud else None
-        points = None if foreground is None else sight.points(foreground)
-        with self._server.atomic():
-            if points is not None and len(points):
-                self.cloud.points, self.cloud.visible = points, True
-            else:
-                self.cloud.visible = False
 
     def update_trail(self, snapshot: Snapshot) -> None:
         """The path the tool took."""
@@ -115,6 +103,10 @@ class SceneView:
             name, colour = f"/obstacles/{body.name}", _rgb(self._colours.get(body.name, SKIN))
             if body.shape == "sphere":
                 node = self._server.scene.add_icosphere(name, body.size[0], colour, opacity=0.85, visible=False)
+            elif body.shape == "capsule":
+                mesh = meshes.capsule(*body.size)
+                node = self._server.scene.add_mesh_simple(name, mesh.vertices, mesh.faces, color=colour, opacity=0.85,
+                                                          visible=False)
             else:
                 x, y, z = (2.0 * half for half in body.size)
                 node = self._server.scene.add_box(name, colour, (x, y, z), opacity=0.85, visible=False)

@@ -22,7 +22,7 @@ RANK = 1e-3
 
 
 class Inverse(NamedTuple):
-    """pinv: J#, shape (7, 3). projector: P = I - V V^T over J's row space, shape (7, 7)."""
+    """pinv: J#, shape (7, m). projector: P = I - V V^T over J's row space, shape (7, 7)."""
 
     pinv: Array
     projector: Array
@@ -43,9 +43,9 @@ def saturated(v: Array, limit: float) -> Array:
     return v * (limit / length) if length > limit else v
 
 
-def task_velocity(pinv: Array, dx_d: Array, error: Array, k_p: float, v_max: float) -> Array:
-    """J#(dx_d + K_p (x_d - x)) [rad/s] (7,), Eq. (11), with the feedback held to v_max [m/s]."""
-    return pinv @ (dx_d + saturated(k_p * error, v_max))
+def task_velocity(dx_d: Array, error: Array, k_p: float, v_max: float) -> Array:
+    """dx_d + K_p (x_d - x) [m/s] (3,), the task's part of Eq. (11), with the feedback held to v_max [m/s]."""
+    return dx_d + saturated(k_p * error, v_max)
 
 
 def posture_velocity(q: Array, q_d: Array, k_0: float) -> Array:

@@ -2,6 +2,7 @@
 
     IDLE --|F| > F_relax--> RELAX --|F| > F_abort--> ABORT --contact gone, error recovered--> IDLE
     any of IDLE, RELAX --contact without a point--> UNSEEN --contact gone--> IDLE, wary for a while
+    IDLE --no camera delivers images--> BLIND, the path waits --images again--> IDLE
     any --stop()--> STOP --resume()--> IDLE
 """
 
@@ -14,7 +15,7 @@ from hrc.control import laws
 from hrc.control.limits import limited, velocity_bounds
 from hrc.control.reference import PathFollower
 from hrc.errors import ConfigError
-from hrc.geometry import apply
+from hrc.geometry import apply, rotation_vector
 from hrc.jacobian import Terms
 from hrc.messages import Command, Contact, Mode
 from hrc.parameters import Parameters, param
@@ -24,6 +25,8 @@ GATE_MARGIN = 1.3
 """RELAX yields down to this many times the force at which detection would end."""
 PAPER_T_C = 0.005
 """T_c of the paper [s], for which lambda is given."""
+W_RECONNECT = 0.5
+"""The tool turns back to its orientation no faster than this [rad/s]."""
 ZERO3, ZERO7 = np.zeros(3), np.zeros(7)
 ZERO3.flags.writeable = ZERO7.flags.writeable = False
 
@@ -72,6 +75,11 @@ class ReactionConfig(Parameters):
     """ABORT may end when the force has been below f_release for this long."""
     abort_error: float = param(0.005, low=0.0005, high=0.1, unit="m")
     """ABORT may end when the contact point is this near to where it was."""
+    abort_radius: float = param(0.1, low=0.0, high=1.0, unit="m")
+    """A contact that no camera sees is a reason to abandon the task only if its place is known to this radius: the spring back
+    to it would push elsewhere."""
+    abort_distance: float = param(0.03, low=0.0, high=0.5, unit="m")
+    """ABORT may end when no obstacle that is seen is nearer to the robot than this."""
     unseen_after: float = param(0.12, low=0.0, high=1.0, unit="s")
     """A contact without a point for this long starts the reflex; a camera that is two frames late needs 0.1 s to show it."""
     unseen_hold: float = param(0.3, low=0.0, high=5.0, unit="s")
@@ -81,7 +89,13 @@ class ReactionConfig(Parameters):
     wary_time: float = param(3.0, low=0.0, high=60.0, unit="s")
     """For how long after such a contact the arm moves like that, and the reflex answers a next one at once."""
     resume_time: float = param(0.5, low=0.01, high=10.0, unit="s")
-    """The path speed rises from 0 to 1 over this time when the task is resumed."""
+    """The path speed rises from 0 to 1 over this time when the task is resumed, and falls so without a camera."""
+    separation: bool = param(False)
+    """Slow the path down while an obstacle is near, before any contact (an extension of the paper)."""
+    slow_from: float = param(0.3, low=0.05, high=1.0, unit="m")
+    """With `separation`, the path slows from this distance of robot and obstacles on."""
+    stand_at: float = param(0.05, low=0.0, high=0.9, unit="m")
+    """With `separation`, the path stands still from this distance on."""
     floor: float = param(0.08, low=-1.0, high=1.0, unit="m")
     """While the task is abandoned, the end effector is kept above this height in the null space of the contact."""
 
@@ -90,6 +104,19 @@ class ReactionConfig(Parameters):
         if not self.f_release <= self.f_relax < self.f_abort:
             raise ConfigError(f"forces must rise from f_release ({self.f_release:g} N) to f_relax ({self.f_relax:g} N) to "
                               f"f_abort ({self.f_abort:g} N)")
+        if not self.stand_at < self.slow_from:
+            raise ConfigError(f"stand_at ({self.stand_at:g} m) must be less than slow_from ({self.slow_from:g} m)")
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What vision says beside the contact. clearance: of the whole robot [m]. blindness: why it says nothing, if so."""
+
+    clearance: float = np.inf
+    blindness: str = ""
+
+
+OPEN = Surroundings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,13 +145,16 @@ class Reaction:
     """Turns state, residual and contact into the joint velocity command, every control period."""
 
     def __init__(self, config: ReactionConfig, path: PathFollower, q_d: Array, bounds: tuple[Array, Array, Array],
-                 dt: float) -> None:
-        """q_d: desired posture [rad] (7,). bounds: q_min, q_max [rad], dq_max [rad/s]. dt: control period T_c [s]."""
+                 dt: float, R_d: Array | None = None) -> None:
+        """q_d: desired posture [rad] (7,). bounds: q_min, q_max [rad], dq_max [rad/s]. dt: control period T_c [s].
+
+        R_d: orientation (3, 3) of the last link that belongs to the task (m = 6); None for a task of positions (m = 3).
+        """
         self.config = config
         self.path = path
         self.mode = Mode.IDLE
         self.dq = ZERO7
-        self._q_d, self._bounds, self._dt = q_d, bounds, dt
+        self._q_d, self._bounds, self._dt, self._R_d = q_d, bounds, dt, R_d
         self._latch: _Latch | None = None
         self._blend, self._blend_end, self._dq_switch = 0, 0, ZERO7
         self._ramp, self._kept = 0.0, 1.0
@@ -143,13 +173,14 @@ class Reaction:
         if self.mode is Mode.STOP:
             self._enter(Mode.IDLE)
 
-    def update(self, q: Array, terms: Terms, residual: Array, detected: bool, contact: Contact | None) -> Command:
+    def update(self, q: Array, terms: Terms, residual: Array, detected: bool, contact: Contact | None,
+               surroundings: Surroundings = OPEN) -> Command:
         """The command for the next control period.
 
         q [rad] (7,); residual r [N m] (7,); detected: Eq. (4); contact: the localized contact, None if there is none.
         """
         F = contact.F_world if contact is not None else ZERO3
-        self._decide(q, terms, detected, contact, float(np.sqrt(F @ F)))
+        self._decide(q, terms, detected, contact, float(np.sqrt(F @ F)), surroundings)
         x_d, error, path_speed = self.path.x_d, ZERO3, 0.0
         if self.mode is Mode.STOP:
             wanted = _Velocity(ZERO7, ZERO7)
@@ -161,14 +192,15 @@ class Reaction:
         elif self.mode is Mode.UNSEEN:
             wanted = self._reflex(residual)
         else:
-            wanted, path_speed = self._follow(q, terms, contact)
+            wanted, path_speed = self._follow(q, terms, contact, self._allowed(surroundings))
         self._issue(q, self._blended(wanted))
-        return Command(self.mode, self.dq, terms.x, x_d, error, path_speed,
-                       self._reason if self.mode is Mode.STOP else "")
+        reason = {Mode.STOP: self._reason, Mode.BLIND: surroundings.blindness}.get(self.mode, "")
+        return Command(self.mode, self.dq, terms.x, x_d, error, path_speed, reason)
 
     # -- transitions ------------------------------------------------------------------------------------------------
 
-    def _decide(self, q: Array, terms: Terms, detected: bool, contact: Contact | None, f: float) -> None:
+    def _decide(self, q: Array, terms: Terms, detected: bool, contact: Contact | None, f: float,
+                surroundings: Surroundings) -> None:
         """The next mode, from the force's norm f [N]."""
         c, dt = self.config, self._dt
         unseen = detected and contact is None
@@ -181,11 +213,14 @@ class Reaction:
         if c.law == "printed":
             self._decide_as_printed(q, terms, contact, f)
         elif self.mode is Mode.ABORT and self._latch is not None:
+            if contact is not None and not contact.seen:
+                self._wary = c.wary_time  # nobody sees when it is out of the way
             self._follow_the_contact(contact, self._latch)
             e = apply(terms.T_world_link[self._latch.link], self._latch.p_link) - self._latch.x_cd
-            if self._quiet >= c.abort_clear and float(np.sqrt(e @ e)) < c.abort_error:
+            recovered = self._quiet >= c.abort_clear and float(np.sqrt(e @ e)) < c.abort_error
+            if recovered and surroundings.clearance > c.abort_distance:
                 self._enter(Mode.IDLE)
-        elif contact is not None and f > c.f_abort:
+        elif contact is not None and f > c.f_abort and (contact.seen or contact.radius <= c.abort_radius):
             self._abort(q, terms, contact)
         elif self.mode is Mode.UNSEEN:
             self._wary = c.wary_time
@@ -197,6 +232,8 @@ class Reaction:
             self.mode = Mode.RELAX  # no blend: it would blend the task, too
         elif self.mode is Mode.RELAX and self._quiet >= c.relax_hold:
             self.mode = Mode.IDLE
+        elif self.mode in (Mode.IDLE, Mode.BLIND):  # no blend: the path slows down by itself, and stays the task
+            self.mode = Mode.BLIND if surroundings.blindness else Mode.IDLE
 
     def _decide_as_printed(self, q: Array, terms: Terms, contact: Contact | None, f: float) -> None:
         """Eq. (13) without memory: the force now is the mode now."""
@@ -227,17 +264,31 @@ class Reaction:
 
     # -- velocities -------------------------------------------------------------------------------------------------
 
-    def _follow(self, q: Array, terms: Terms, contact: Contact | None) -> tuple[_Velocity, float]:
+    def _allowed(self, surroundings: Surroundings) -> float:
+        """The part of the path's speed that the distance to the nearest obstacle allows, 0..1."""
+        c = self.config
+        if not c.separation:
+            return 1.0
+        return float(np.clip((surroundings.clearance - c.stand_at) / (c.slow_from - c.stand_at), 0.0, 1.0))
+
+    def _follow(self, q: Array, terms: Terms, contact: Contact | None, allowed: float) -> tuple[_Velocity, float]:
         """IDLE and RELAX: the task, with posture and yielding in its null space; and the path speed used, 0..1."""
         c = self.config
         # The feedback belongs to the reference now; advancing first would lead the arm by one period.
         e = self.path.x_d - terms.x
-        self._ramp = min(1.0, self._ramp + self._dt / c.resume_time)
+        target, step = 0.0 if self.mode is Mode.BLIND else allowed, self._dt / c.resume_time
+        self._ramp = min(max(target, self._ramp - step), self._ramp + step)
         near = float(np.clip(1.5 - np.sqrt(e @ e) / 0.02, 0.0, 1.0))
         path_speed = self._ramp * near * max(0.05, self._kept)
-        J = laws.inverse(terms.J)
         v_reconnect = c.v_reconnect if self._wary == 0.0 else min(c.v_wary, c.v_reconnect)
-        task = laws.task_velocity(J.pinv, self.path.advance(path_speed, self._dt), e, c.k_p, v_reconnect)  # (11)
+        v = laws.task_velocity(self.path.advance(path_speed, self._dt), e, c.k_p, v_reconnect)
+        if self._R_d is None:
+            J = laws.inverse(terms.J)
+        else:
+            J = laws.inverse(terms.J_tool)
+            turn = rotation_vector(self._R_d @ terms.T_world_link[-1, :3, :3].T)
+            v = np.concatenate([v, laws.saturated(c.k_p * turn, W_RECONNECT)])
+        task = J.pinv @ v  # (11)
         null = J.projector @ laws.posture_velocity(q, self._q_d, c.k_0)  # (12), first branch
         if self.mode is Mode.RELAX and contact is not None:  # (12), second branch
             null = self._yielding(J.projector, contact, null)

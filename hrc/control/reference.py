@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hrc.control.paths import Circle, Path, Point, Polygon, read_waypoints
 from hrc.parameters import Parameters, param
 
 Array = NDArray[np.float64]
@@ -12,58 +13,48 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TaskConfig(Parameters):
-    """The paper's task: a hexagon on a vertical plane, at constant speed."""
+    """The end effector's path; the default is the paper's, a hexagon on a vertical plane at constant speed."""
 
+    kind: str = param("hexagon", options=("hexagon", "circle", "hold", "waypoints"), live=False)
+    """hexagon, circle: around the centre, on the plane x = constant. hold: stay at the centre. waypoints: a closed path
+    through the points of a file."""
     centre: tuple[float, ...] = param((-0.55, 0.0, 0.45), low=-1.2, high=1.2, unit="m", live=False)
-    """Centre of the hexagon, in the world; its plane is x = constant."""
+    """Centre of hexagon and circle, in the world; the desired posture has the end effector there."""
     radius: float = param(0.15, low=0.02, high=0.3, unit="m", live=False)
-    """Distance from the centre to a corner."""
+    """Distance from the centre to a corner of the hexagon, or to the circle."""
+    waypoints: str = param("", live=False)
+    """A text file with x, y, z [m] in each line, for kind waypoints."""
     speed: float = param(0.2, low=0.0, high=0.5, unit="m/s")
     """Speed along the path."""
-    corner: float = param(0.01, low=0.0, high=0.05, unit="m", live=False)
+    corner: float = param(0.01, low=0.001, high=0.05, unit="m", live=False)
     """A corner is rounded by a parabola that begins this far before it."""
     start: int = param(3, low=0, high=5, live=False)
-    """Corner where the path begins: 0 is the one farthest in +y, and they count with +z."""
+    """Corner where hexagon and circle begin: 0 is the one farthest in +y, and they count with +z."""
+    upright: bool = param(False, live=False)
+    """Keep the tool's orientation, too: then the task takes six of the seven joints (m = 6)."""
     posture_deg: tuple[float, ...] = param((0.0, 25.0, 0.0, -85.0, 0.0, 70.0, 0.0), low=-170.0, high=170.0, unit="deg",
                                            live=False)
     """Where the search for the desired posture q_d starts; q_d is near it, with the end effector at the centre."""
 
 
-class Hexagon:
-    """A closed hexagonal path with parabolic corners, by its arc length."""
-
-    def __init__(self, config: TaskConfig) -> None:
-        angle = (np.arange(6) + config.start) * np.pi / 3.0
-        ring = np.column_stack([np.zeros(6), np.cos(angle), np.sin(angle)])
-        self._corners = np.asarray(config.centre) + config.radius * ring
-        self._side = config.radius
-        self._blend = min(config.corner, 0.4 * config.radius)
-        self._directions = (np.roll(self._corners, -1, axis=0) - self._corners) / self._side
-        self.length = 6.0 * self._side
-
-    def at(self, s: float) -> Array:
-        """The point of the path [m] (3,) at arc length s [m] (along the sharp hexagon); continuous with its tangent."""
-        side, along = divmod(s % self.length, self._side)
-        k = int(side) % 6
-        rounding = self._blend
-        if along < rounding:
-            return self._corner(k, along + rounding)
-        if along > self._side - rounding:
-            return self._corner((k + 1) % 6, along - (self._side - rounding))
-        return self._corners[k] + along * self._directions[k]
-
-    def _corner(self, k: int, w: float) -> Array:
-        """The parabola around corner k, `w` [m] after its beginning: tangent to both sides."""
-        before, after = self._directions[k - 1], self._directions[k]
-        if self._blend == 0.0:
-            return self._corners[k]
-        return self._corners[k] + (w - self._blend) * before + (after - before) * (w * w / (4.0 * self._blend))
+def make_path(config: TaskConfig) -> Path:
+    """The path of a task. Raises ConfigError for a file of waypoints that is none."""
+    centre, phase = np.asarray(config.centre), config.start * np.pi / 3.0
+    if config.kind == "hold":
+        return Point(centre)
+    if config.kind == "circle":
+        return Circle(centre, config.radius, phase)
+    if config.kind == "waypoints":
+        return Polygon(read_waypoints(config.waypoints), config.corner)
+    angle = phase + np.arange(6) * np.pi / 3.0
+    ring = np.column_stack([np.zeros(6), np.cos(angle), np.sin(angle)])
+    return Polygon(centre + config.radius * ring, config.corner)
 
 
 class PathFollower:
     """Progress along the path: it can be slowed, frozen and resumed, and never jumps."""
 
-    def __init__(self, path: Hexagon, speed: float) -> None:
+    def __init__(self, path: Path, speed: float) -> None:
         self.path = path
         self.speed = speed
         self.s = 0.0

@@ -39,6 +39,8 @@ class SensorConfig(Parameters):
     """Nothing farther is measured."""
     latency: int = param(2, low=0, high=30, live=False)
     """Frames between exposure and delivery."""
+    unplugged: bool = param(False)
+    """Delivers nothing, as with its cable pulled."""
     extrinsic_rotation_deg: float = param(0.25, low=0.0, high=10.0, unit="deg", live=False)
     """Error of the camera's calibrated orientation, about an axis drawn from the seed."""
     extrinsic_translation: float = param(0.005, low=0.0, high=0.1, unit="m", live=False)
@@ -61,7 +63,7 @@ class DepthCamera:
         grid = kernels.grid(camera)
         fixed = environment_depth(self.true_camera, environment)
         background = kernels.pack(fixed, np.full(camera.shape, 15), grid)
-        surfaces = [*meshes.robot("plant"), *(_mesh(body) for body in bodies)]
+        surfaces = [*meshes.robot("plant"), *(meshes.shape(body.shape, body.size) for body in bodies)]
         self._raster = kernels.Rasteriser(grid, surfaces, self._device, background=background)
         self._noise = kernels.Noise(grid, self._raster.keys, self._device)
         self.configure(config or SensorConfig())
@@ -79,8 +81,8 @@ class DepthCamera:
         self._count = 0
         self._queue: deque[DepthFrame] = deque(maxlen=self._latency + 2)
 
-    def expose(self, tick: int, T_world_link: Array, bodies: Sequence[Body]) -> None:
-        """Take a frame with the links at these true poses (8, 4, 4) and the bodies where they are.
+    def expose(self, tick: int, T_world_link: Array, bodies: Sequence[Body]) -> bool:
+        """Take a frame with the links at these true poses (8, 4, 4) and the bodies where they are; whether one will come.
 
         Raises SensorError for a body that was not given at construction.
         """
@@ -94,8 +96,12 @@ class DepthCamera:
         self._raster.place(self.true_camera.T_camera_world @ T_world_mesh)
         self._noise.draw(self._seed, self._count)
         self._graph.replay()
-        self._queue.append(DepthFrame(tick, self._noise.image()))
         self._count += 1
+        if self.config.unplugged:
+            self._queue.clear()
+            return False
+        self._queue.append(DepthFrame(tick, self._noise.image()))
+        return True
 
     def latest(self, tick: int) -> DepthFrame | None:
         """The newest frame, of those exposed up to `tick`, that is followed by `latency` others; None before there is one."""
@@ -114,10 +120,6 @@ class DepthCamera:
             return False
         key = kernels.to_image(kernels.read(self._raster.keys), self._raster.grid)[round(float(v)), round(float(u))]
         return bool(key) and abs(kernels.key_depth(key) - float(z)) <= SEEN
-
-
-def _mesh(body: BodySpec) -> kernels.Surface:
-    return meshes.sphere(body.size[0], 3) if body.shape == "sphere" else meshes.box(body.size)
 
 
 def _disturbed(camera: Camera, config: SensorConfig, seed: int) -> Camera:

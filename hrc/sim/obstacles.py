@@ -86,7 +86,7 @@ class Pressing:
     def __init__(self, press: Press, body: BodySpec, robot: LinkSurface) -> None:
         self._press = press
         self._n = np.asarray(press.direction)
-        extent = body.size[0] if body.shape == "sphere" else float(np.abs(self._n) @ np.asarray(body.size))
+        extent = body.extent(self._n)
         self._point = np.asarray(press.point)
         self._standoff = robot.reach(press.link, self._point, -self._n) + extent
         self._from = np.asarray(press.aside) if press.aside is not None else -self.GAP * self._n

@@ -5,6 +5,7 @@ computed torque in plain motor actuators at the base rate. (MuJoCo's own positio
 integrator report a torque that is not the one integrated, which reads as a contact of newton metres.)
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -19,7 +20,7 @@ from hrc.parameters import Parameters, param
 from hrc.scene import Scene
 from hrc.sim.obstacles import ObstacleConfig, Obstacles
 from hrc.sim.push import Grip, PushConfig
-from hrc.sim.sensor import TorqueSensor
+from hrc.sim.sensor import Encoder, TorqueSensor
 from hrc.sim.world import compile_world
 
 Array = NDArray[np.float64]
@@ -37,6 +38,12 @@ class PlantConfig(Parameters):
     """Standard deviation of the torque sensors' noise, as a fraction of each joint's torque limit."""
     friction_left: float = param(0.2, low=0.0, high=2.0, live=False)
     """Part of the friction and offset that link-side sensors of a real LWR show, left after compensation."""
+    payload: float = param(0.0, low=0.0, high=7.0, unit="kg", live=False)
+    """A weight at the flange that neither servo nor observer knows of."""
+    encoder_step: float = param(0.0, low=0.0, high=0.01, unit="rad", live=False)
+    """Step of the joint encoders; velocities are then differences of readings over a control period."""
+    jitter: int = param(0, low=0, high=20, live=False)
+    """A command takes effect up to this many ticks late, each time anew."""
     servo_wn: float = param(60.0, low=5.0, high=200.0, unit="rad/s", live=False)
     """Bandwidth of the joint servo (critically damped)."""
     leash: float = param(0.03, low=0.005, high=0.2, unit="rad", live=False)
@@ -48,7 +55,7 @@ class SimulatedRobot:
 
     def __init__(self, scene: Scene, plant: PlantConfig, push: PushConfig, obstacles: ObstacleConfig, *, base_hz: int,
                  control_hz: int, rng: np.random.Generator) -> None:
-        self.model = compile_world(scene, base_hz)
+        self.model = compile_world(scene, base_hz, plant.payload)
         self._data = mujoco.MjData(self.model)
         self._config = plant
         self._dt = 1.0 / base_hz
@@ -62,8 +69,10 @@ class SimulatedRobot:
         self.grip = Grip(self.model, self._data, self._links, push)
         self.obstacles = Obstacles(self.model, self._data, scene.bodies, obstacles)
         self._tick = 0
-        self._command = self._previous = self._target = np.zeros(7)
+        self._command = self._previous = self._target = self._issued = np.zeros(7)
         self._since = 0
+        self._encoder = Encoder(plant.encoder_step, self._ramp_ticks, self._dt)
+        self._jitter_rng, self._late = rng.spawn(1)[0], 0
 
     def place(self, q: Array) -> None:
         """Put the arm at rest at q [rad] (7,)."""
@@ -91,14 +100,18 @@ class SimulatedRobot:
             raise SensorError("the simulation has diverged; reset it")
         self._tick += 1
         q_now, v_now = data.qpos[:7], data.qvel[:7]
+        q_read, v_read = self._encoder.read(q_now, v_now)
         # On the link side of the gear: what the motor gives, less what it takes to turn itself.
         tau = data.qfrc_actuator[:7] - self.model.dof_armature[:7] * (v_now - v) / self._dt
-        return RobotState(self._tick, q_now, v_now, self._sensor.read(tau, v_now))
+        return RobotState(self._tick, q_read, v_read, self._sensor.read(tau, v_now))
 
     def _servo(self, q: Array, v: Array, dq: Array) -> Array:
         """Computed torque [N m] (7,) towards the command, ramped over one control period."""
-        if dq is not self._command:  # the controller issues a new array every period
-            self._previous, self._command, self._since = self._command, dq, 0
+        if dq is not self._issued:  # the controller issues a new array every period
+            self._issued, self._late = dq, int(self._jitter_rng.integers(self._config.jitter + 1))
+        if self._issued is not self._command and self._late <= 0:
+            self._previous, self._command, self._since = self._command, self._issued, 0
+        self._late -= 1
         self._since += 1
         share = min(1.0, self._since / self._ramp_ticks)
         dq_ref = self._previous + share * (self._command - self._previous)
@@ -131,6 +144,20 @@ class SimulatedRobot:
         if self.grip.active:
             F = self.grip.force.copy()
             best, link, p = float(np.linalg.norm(F)), self.grip.link, self.grip.p_world
+        for touched, f, point in self._contacts():
+            F += f
+            size = float(np.linalg.norm(f))
+            if size > best:
+                best, link, p = size, touched, point
+        tau = self._data.qfrc_applied[:7] + self._data.qfrc_constraint[:7]
+        return Truth(F, p, link if best > 0.0 else -1, tau)
+
+    def touched(self, least: float) -> set[int]:
+        """The links with a contact whose force is at least this [N]."""
+        return {link for link, f, _ in self._contacts() if np.linalg.norm(f) >= least}
+
+    def _contacts(self) -> Iterator[tuple[int, Array, Array]]:
+        """Link, force on the robot [N] (3,) and point [m] (3,) of each contact with the scene."""
         wrench = np.empty(6)
         for i in range(self._data.ncon):
             contact = self._data.contact[i]
@@ -140,12 +167,7 @@ class SimulatedRobot:
             mujoco.mj_contactForce(self.model, self._data, i, wrench)
             # MuJoCo's normal points from the first geom to the second, and so does the force on the second.
             f = contact.frame.reshape(3, 3).T @ wrench[:3] * (1.0 if link2 >= 0 else -1.0)
-            F += f
-            size = float(np.linalg.norm(f))
-            if size > best:
-                best, link, p = size, int(max(link1, link2)), contact.pos.copy()
-        tau = self._data.qfrc_applied[:7] + self._data.qfrc_constraint[:7]
-        return Truth(F, p, link if best > 0.0 else -1, tau)
+            yield int(max(link1, link2)), f, contact.pos.copy()
 
     def point(self, link: int, p_link: Array) -> Array:
         """A point of a link [m] (3,), in the world."""

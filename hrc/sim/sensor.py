@@ -1,4 +1,6 @@
-"""The link-side joint torque sensor, with the imperfections measured on a real LWR IV+."""
+"""The robot's sensors: link-side joint torque, with the imperfections measured on a real LWR IV+, and joint encoders."""
+
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,3 +31,19 @@ class TorqueSensor:
     def read(self, tau: Array, dq: Array) -> Array:
         """The reading [N m] (7,) for the true link-side torque [N m] (7,) at joint velocity dq [rad/s] (7,)."""
         return tau + self._left * friction(dq) + self._sigma * self._rng.standard_normal(7)
+
+
+class Encoder:
+    """Joint positions in steps, and velocities as their differences over `ticks` of dt [s]; exact for a step of zero."""
+
+    def __init__(self, step: float, ticks: int, dt: float) -> None:
+        self._step, self._dt = step, dt
+        self._readings: deque[Array] = deque(maxlen=ticks + 1)
+
+    def read(self, q: Array, dq: Array) -> tuple[Array, Array]:
+        """What is read for the true q [rad], dq [rad/s], each (7,)."""
+        if self._step == 0.0:
+            return q, dq
+        self._readings.append(np.round(q / self._step) * self._step)
+        spans = len(self._readings) - 1
+        return self._readings[-1], (self._readings[-1] - self._readings[0]) / (max(spans, 1) * self._dt)

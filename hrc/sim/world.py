@@ -4,7 +4,8 @@ import mujoco
 import numpy as np
 
 from hrc.errors import AssetError
-from hrc.model import load_spec
+from hrc.messages import LINKS
+from hrc.model import FLANGE, load_spec
 from hrc.scene import BodySpec, Scene
 
 SKIN = {"solref": [-6000.0, -120.0], "solimp": [0.0, 0.9, 0.005, 0.5, 2.0]}
@@ -12,12 +13,15 @@ SKIN = {"solref": [-6000.0, -120.0], "solimp": [0.0, 0.9, 0.005, 0.5, 2.0]}
 PARKED = -20.0
 """Obstacles outside the scene wait at this height [m], 2 m apart, without drive."""
 ROBOT_BIT, SCENE_BIT = 1, 2
+PAYLOAD_AT = np.array([0.0, 0.0, 0.05])
+"""Where the centre of a payload is, from the flange [m]."""
 
 
-def compile_world(scene: Scene, base_hz: int) -> mujoco.MjModel:
+def compile_world(scene: Scene, base_hz: int, payload: float = 0.0) -> mujoco.MjModel:
     """The compiled model: the robot first (7 degrees of freedom), then three slides for each obstacle, in order.
 
-    Raises AssetError if a file of the robot is missing or malformed.
+    payload [kg]: of a weight at the flange, a body of its own that no model made of the links knows. Raises AssetError if a
+    file of the robot is missing or malformed.
     """
     spec = load_spec()
     spec.option.timestep = 1.0 / base_hz
@@ -26,6 +30,8 @@ def compile_world(scene: Scene, base_hz: int) -> mujoco.MjModel:
         spec.worldbody.add_geom(
             name=box.name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=list(box.centre), size=list(box.half),
             contype=SCENE_BIT, conaffinity=ROBOT_BIT | SCENE_BIT)
+    if payload > 0.0:
+        _add_payload(spec, payload)
     for body in scene.bodies:
         _add_obstacle(spec, body)
     try:
@@ -38,6 +44,13 @@ def compile_world(scene: Scene, base_hz: int) -> mujoco.MjModel:
     return model
 
 
+def _add_payload(spec: mujoco.MjSpec, mass: float) -> None:
+    added = spec.body(LINKS[-1]).add_body(name="payload", pos=spec.site(FLANGE).pos + PAYLOAD_AT)
+    added.mass = mass
+    added.inertia = [mass * 0.03**2] * 3
+    added.explicitinertial = True
+
+
 def _add_obstacle(spec: mujoco.MjSpec, body: BodySpec) -> None:
     added = spec.worldbody.add_body(name=body.name, pos=[0.0, 0.0, 0.0])
     added.gravcomp = 1.0
@@ -46,10 +59,9 @@ def _add_obstacle(spec: mujoco.MjSpec, body: BodySpec) -> None:
     added.explicitinertial = True
     for axis, name in zip(np.eye(3), "xyz", strict=True):
         added.add_joint(name=f"{body.name}_{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=list(axis))
-    sphere = body.shape == "sphere"
+    kind = {"sphere": mujoco.mjtGeom.mjGEOM_SPHERE, "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE, "box": mujoco.mjtGeom.mjGEOM_BOX}
     added.add_geom(
-        name=body.name, type=mujoco.mjtGeom.mjGEOM_SPHERE if sphere else mujoco.mjtGeom.mjGEOM_BOX,
-        size=[body.size[0], 0.0, 0.0] if sphere else list(body.size), contype=SCENE_BIT,
+        name=body.name, type=kind[body.shape], size=[*body.size, 0.0, 0.0][:3], contype=SCENE_BIT,
         conaffinity=ROBOT_BIT, friction=[0.5, 0.005, 0.0001], priority=1, **SKIN)
 
 

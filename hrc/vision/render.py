@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hrc.geometry import Array
 from hrc.messages import RobotImage
@@ -65,11 +66,14 @@ class Renderer:
 
     def render(self, T_world_link: Array) -> RobotImage:
         """Depth and link of what is seen with the links at these poses (n, 4, 4)."""
-        self.place(T_world_link)
-        self._graph.replay()
+        self.draw(T_world_link)
         return RobotImage(*self.raster.image())
 
-    def expand(self, margin: float) -> None:
-        """Draw every surface moved out by `margin` [m] along its vertex normals from now on."""
-        self.raster.margin = margin
-        self._graph = kernels.Graph([self.raster.launch], self._device)
+    def draw(self, T_world_link: Array) -> None:
+        """Only draw them, in the raster's keys."""
+        self.place(T_world_link)
+        self._graph.replay()
+
+    def expand(self, margins: ArrayLike) -> None:
+        """Draw every surface moved out along its vertex normals from now on, by one margin [m] or one for each link (n,)."""
+        self.raster.expand(margins)

@@ -1,4 +1,4 @@
-"""The page in a real Chromium: loading, pushing with the mouse, and stopping with the keyboard."""
+"""The page in a real Chromium: loading, camera images, pushing with the mouse, and stopping with the keyboard."""
 
 import re
 from typing import Any
@@ -39,6 +39,19 @@ def test_pushing_a_link_with_the_mouse_shows_relax_or_abort(tab: Any) -> None:
     tab.mouse.up()
     expect(banner).to_have_attribute("data-truth", "0.00")
     expect(banner).to_have_attribute("data-mode", "idle")
+
+
+def test_three_camera_images_are_on_the_page_and_live(tab: Any) -> None:
+    images = tab.locator('img[src^="blob:"]')
+    expect(images).to_have_count(3)
+    for label in ("Depth image", "Robot as expected", "What is left"):
+        expect(tab.get_by_text(label, exact=True)).to_be_visible()
+    boxes = [images.nth(i).bounding_box() for i in range(3)]
+    assert boxes[0]["y"] == boxes[1]["y"], "measured and expected side by side"
+    assert all(box["width"] > 100 for box in boxes)
+    tab.wait_for_function("() => [...document.querySelectorAll('img[src^=\"blob:\"]')].every(i => i.naturalWidth > 100)")
+    first = images.first.get_attribute("src")
+    expect(images.first).not_to_have_attribute("src", first)
 
 
 def test_escape_stops_the_arm_from_anywhere_and_it_stays_stopped(tab: Any) -> None:

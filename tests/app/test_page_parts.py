@@ -1,19 +1,25 @@
-"""The parts of the page that need no server: what the mailbox keeps, what the log says, what the sight shows."""
+"""The parts of the page that need no server: what the mailbox keeps, what the log says, what is drawn of an image."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from app.serve.banner import Facts, banner
+from app import palette
+from app.serve import images
+from app.serve.banner import Facts, banner, facts
+from app.serve.distances import lines
 from app.serve.journal import Journal
 from app.serve.mailbox import PLOT_POINTS, Mailbox, Note
-from app.serve.sight import MAX_POINTS, NEAR_BASE, OBSTACLE, Sight
+from app.serve.pictures import EMPTY, OBSTACLE, Pictures
+from app.serve.session import Phase, Session, Status
+from app.serve.sight import MAX_POINTS, NEAR_BASE, Sight
 from hrc.cell.cell import Cell
+from hrc.config import Config
 from hrc.events import MoveObstacle, Pull, Reset, SetParameter, Stop
 from hrc.geometry import apply
-from hrc.messages import DepthFrame, Mode, RobotImage, Snapshot, Truth
-from hrc.vision.camera import Camera
+from hrc.messages import Clearance, DepthFrame, Mode, Nearest, RobotImage, Snapshot, Truth, View
+from hrc.vision.camera import Camera, CameraConfig
 
 
 @pytest.fixture(scope="module")
@@ -102,16 +108,106 @@ def test_points_are_few_and_near_even_when_the_view_is_full() -> None:
     assert len(sight.points(DepthFrame(0, np.full(camera.shape, np.inf, np.float32)))) == 0
 
 
-def test_picture_tells_robot_obstacle_and_holes_apart() -> None:
+def test_a_point_of_the_robot_is_in_the_picture_wherever_the_camera_stands() -> None:
+    for eye in ((2.2, 0.0, 0.75), (-1.75, -1.35, 1.15), (0.3, 2.0, 2.0), (0.3, 0.2, 0.6)):
+        camera = Camera(CameraConfig(eye=eye, target=(-0.3, 0.0, 0.5)))
+        u, v, _ = camera.project(apply(camera.T_camera_world, np.array([-0.3, 0.0, 0.5])))
+        drawn = Pictures(camera)
+        ring = drawn.marked(drawn.blank, (float(u), float(v)), (9, 9, 9), 0.05)
+        assert (ring == 9).all(axis=2).sum() > 20, eye
+        assert max(drawn.blank.shape) <= 400
+
+
+def around(camera: Camera, pixel: tuple[int, int], values: list[float]) -> np.ndarray:
+    """A depth image, empty but for a square of 9 by 9 pixels at (u, v), its columns in equal shares of these depths."""
+    image = np.full(camera.shape, np.inf, np.float32)
+    u, v = pixel
+    image[v - 4 : v + 5, u - 4 : u + 5] = np.repeat(values, 9 // len(values))
+    return image
+
+
+PIXEL = (255, 200)
+
+
+def test_the_three_pictures_tell_robot_obstacle_and_holes_apart() -> None:
     camera = Camera()
-    depth, foreground = np.full(camera.shape, 2.0, np.float32), np.full(camera.shape, np.inf, np.float32)
-    link = np.full(camera.shape, 255, np.uint8)
-    depth[:100], foreground[100:200], link[200:300] = np.inf, 2.0, 3
-    robot = RobotImage(np.where(link == 255, np.inf, depth).astype(np.float32), link)
-    picture = Sight(camera).picture(DepthFrame(0, depth), DepthFrame(0, foreground), robot)
-    assert picture.shape == (camera.shape[0] // 2, camera.shape[1] // 2, 3)
-    hole, obstacle, arm, scene = picture[10, 10], picture[75, 10], picture[125, 10], picture[200, 10]
-    assert tuple(obstacle) == OBSTACLE
-    assert arm[0] > arm[2]
-    assert scene[0] == scene[2]
-    assert hole.max() < scene.min()
+    depth = around(camera, PIXEL, [2.0, 2.5, 3.0])
+    link = np.where(np.isfinite(depth), 4, 255).astype(np.uint8)
+    measured, expected, remaining = images.draw(
+        View("camera", DepthFrame(0, depth), DepthFrame(0, depth), RobotImage(depth, link)), Pictures(camera), ()).values()
+    ring = Pictures(camera).marked(Pictures(camera).blank, PIXEL, (9, 9, 9), 0.05)
+    v, u = (round(float(x)) for x in np.argwhere((ring == 9).all(axis=2)).mean(axis=0))
+    near, far = measured[v, u - 3], measured[v, u + 3]
+    assert near[0] == near[1] == near[2] > far[0], "grey, and brighter where it is nearer"
+    np.testing.assert_allclose(expected[v, u], palette.LINKS[4], atol=1)
+    np.testing.assert_allclose(remaining[v, u], OBSTACLE, atol=1)
+    for picture in (measured, expected, remaining):
+        assert tuple(picture[0, 0]) == EMPTY
+        assert (picture != EMPTY).any(axis=2).sum() == 81
+
+
+def test_a_silent_camera_is_crossed_out_and_one_without_a_frame_is_empty() -> None:
+    camera = Pictures(Camera())
+    depth = np.full(Camera().shape, 2.0, np.float32)
+    robot = RobotImage(depth, np.full(depth.shape, 3, np.uint8))
+    alive = images.draw(View("camera", DepthFrame(0, depth), DepthFrame(0, depth), robot), camera, ())
+    silent = images.draw(View("camera", DepthFrame(0, depth), DepthFrame(0, depth), robot, silent=True), camera, ())
+    for name, picture in silent.items():
+        red = (picture == (255, 59, 48)).all(axis=2)
+        assert red[3, 3] or red[2, 2]
+        assert picture[~red].max() < alive[name].max() / 2
+    assert all((picture == EMPTY).all() for picture in images.draw(View("camera"), camera, ()).values())
+
+
+def test_touches_are_marked_in_the_images_of_the_camera_that_sees_them(snapshot: Snapshot) -> None:
+    def touch(camera: str, pixel: tuple[int, int], *, sure: bool) -> Nearest:
+        return Nearest(0, 0, 4, np.zeros(3), np.zeros(3), 0.01, pixel, camera, sure)
+
+    touched = replace(snapshot, touches=(touch("left", (250, 200), sure=True), touch("right", (260, 210), sure=False)))
+    assert [mark[:2] for mark in images.contacts(touched, "left", Camera())] == [((250, 200), palette.TOUCH)]
+    assert [mark[:2] for mark in images.contacts(touched, "right", Camera())] == [((260, 210), palette.UNSURE)]
+
+
+def clearance(link: int, distance: float) -> Clearance:
+    return Clearance(0, 0, link, distance, np.array([0.0, 0.0, link]), np.array([0.0, distance, link]))
+
+
+def test_a_line_joins_the_two_witness_points_and_those_out_of_range_are_not_drawn() -> None:
+    points, colours = lines([clearance(3, 0.1), clearance(5, 0.3), clearance(6, palette.FAR), clearance(7, np.inf)])
+    assert points.shape == colours.shape == (2, 2, 3)
+    np.testing.assert_allclose(points[:, 0], [(0, 0, 3), (0, 0, 5)])
+    np.testing.assert_allclose(np.linalg.norm(points[:, 1] - points[:, 0], axis=1), [0.1, 0.3], atol=1e-6)
+    assert (colours[:, 0] == colours[:, 1]).all()
+    assert lines(())[0].shape == (0, 2, 3)
+
+
+def test_lines_are_red_when_near_and_darker_the_farther_they_reach() -> None:
+    shades = palette.by_distance(np.linspace(0.0, palette.FAR, 60)).astype(int)
+    red, green, blue = shades[0]
+    assert red > 3 * max(green, blue)
+    assert (shades[:6] == shades[0]).all(), "all the same below 5 cm"
+    assert (np.diff(shades[:, 0]) <= 0).all()
+    assert shades[-1].max() < 60
+
+
+def test_banner_names_the_nearest_link_and_the_cameras_that_are_silent() -> None:
+    known = Facts("idle", nearest="link_4", clearance=0.123)
+    assert "nearest obstacle: link 4, 12 cm" in banner(known, 1)
+    assert "none in sight" in banner(Facts("idle"), 1)
+    assert "silent</div>" not in banner(known, 1)
+    assert "camera &quot;left&quot; is silent" in banner(replace(known, silent=("left",), cameras=3), 1)
+    two = banner(replace(known, silent=("left", "<right>"), cameras=3), 1)
+    assert "are silent" in two
+    assert "<right>" not in two
+    assert "no camera delivers images" in banner(replace(known, silent=("camera",)), 1)
+
+
+def test_banner_says_what_an_abort_waits_for(snapshot: Snapshot) -> None:
+    session, config = Session(Mailbox(), say=lambda _: None), Config()
+    session.status = Status(Phase.RUNNING)
+    aborting = replace(snapshot, command=replace(snapshot.command, mode=Mode.ABORT), detected=False)
+    near, far = (replace(aborting, clearances=(clearance(4, d),)) for d in (0.021, config.control.abort_distance + 0.001))
+    assert "2.1 cm" in facts(session, near, config).note
+    assert "waiting" in facts(session, near, config).note
+    assert "waiting" not in facts(session, far, config).note
+    assert "waiting" not in facts(session, replace(near, detected=True), config).note

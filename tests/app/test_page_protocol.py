@@ -1,9 +1,13 @@
 """The page over its wire protocol, with the real cell behind it: what a visitor does, and what comes back."""
 
+import io
+import re
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 from vclient import VClient, until
 
 from app.serve.main import Page
@@ -159,6 +163,120 @@ def test_obstacle_follows_its_gizmo_and_the_camera_sees_it(raw: VClient) -> None
 
     until(seen)
     assert raw.nodes["/cloud"]["points"].dtype == np.float16
+
+
+def image(client: VClient, name: str) -> bytes:
+    """One of the camera images as it came; every arrival is another object."""
+    return client.gui[client.widget(name)]["props"]["_data"]
+
+
+def pixels(client: VClient, name: str) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(bytes(image(client, name)))).convert("RGB")).astype(int)
+
+
+def test_camera_images_show_measured_expected_and_remaining(raw: VClient) -> None:
+    def blue(name: str) -> int:
+        red, _, blue = np.moveaxis(pixels(raw, name), -1, 0)
+        return int((blue > red + 60).sum())
+
+    raw.gizmo("/gizmos/ball", (-0.3, 0.45, 0.6))
+    until(lambda: blue("What is left") > 50)
+    grey = pixels(raw, "Depth image")
+    assert np.abs(grey - grey.mean(axis=2, keepdims=True)).max() < 20, "depth in grey"
+    assert np.ptp(pixels(raw, "Robot as expected"), axis=2).max() > 60, "links in colours"
+    raw.set("Ball", False)
+    until(lambda: blue("What is left") == 0)
+
+
+def test_an_image_that_has_not_changed_is_not_sent_again(raw: VClient) -> None:
+    names = ("Depth image", "Robot as expected", "What is left")
+    raw.set("Ball", False)
+    until(lambda: pixels(raw, "What is left").max() < 60)
+    time, seen = number(raw, "time"), {name: image(raw, name) for name in names}
+    until(lambda: number(raw, "time") > time + 0.5)
+    assert image(raw, "Depth image") is not seen["Depth image"], "it has noise"
+    assert image(raw, "What is left") is seen["What is left"], "nothing before, nothing now"
+    raw.set("Simulation", "Pause")
+    until(lambda: raw.banner()["paused"] == "true")
+    beat = number(raw, "beat")
+    until(lambda: number(raw, "beat") > beat + 3)
+    seen, beat = {name: image(raw, name) for name in names}, number(raw, "beat")
+    until(lambda: number(raw, "beat") > beat + 10)
+    assert all(image(raw, name) is seen[name] for name in names)
+
+
+def test_nothing_is_encoded_while_nobody_watches(served: Page, raw: VClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    from viser._scene_api import _encode_image_binary as stock
+
+    encoded: list[object] = []
+
+    def counted(image: np.ndarray, *args: Any, **options: Any) -> Any:
+        encoded.append(image)
+        return stock(image, *args, **options)
+
+    monkeypatch.setattr("viser._gui_handles._encode_image_binary", counted)
+    until(lambda: len(encoded) > 5)
+    raw.set("Camera images", False)
+    until(lambda: not raw.gui[raw.widget("Depth image")]["props"]["visible"])
+    off, beat = len(encoded), number(raw, "beat")
+    until(lambda: number(raw, "beat") > beat + 10)
+    assert len(encoded) <= off + 3, "what was being drawn at that moment"
+    raw.set("Camera images", True)
+    until(lambda: len(encoded) > off + 5)
+    raw.close()
+    until(lambda: not served.server.get_clients())
+    left = len(encoded)
+    with pytest.raises(TimeoutError):
+        until(lambda: len(encoded) > left + 3, 1.0)
+
+
+def test_lines_join_links_and_obstacle_and_stand_still_while_paused(raw: VClient) -> None:
+    centre = np.array([-0.3, 0.45, 0.6])
+    raw.gizmo("/gizmos/ball", centre.tolist())
+    until(lambda: np.linalg.norm(raw.position("/obstacles/ball") - centre) < 0.02 and number(raw, "clearance") < 0.3)
+    lines = raw.nodes["/distances/lines"]
+
+    def ends() -> np.ndarray:
+        return lines["points"].reshape(-1, 2, 3).astype(float)
+
+    # The ball's surface, as one camera sees it: within 2 cm of a ball of 8 cm.
+    until(lambda: lines["visible"] and bool((np.abs(np.linalg.norm(ends()[:, 1] - centre, axis=1) - 0.08) < 0.02).all()))
+    assert lines["colors"].shape == lines["points"].shape
+    raw.set("Simulation", "Pause")
+    until(lambda: raw.banner()["paused"] == "true")
+    beat = number(raw, "beat")
+    until(lambda: number(raw, "beat") > beat + 3)
+    shortest = np.linalg.norm(ends()[:, 0] - ends()[:, 1], axis=1).min()
+    centimetres = re.fullmatch(r"(\d+) cm", raw.nodes["/distances/nearest"]["text"])
+    assert centimetres is not None
+    assert abs(int(centimetres[1]) - 100.0 * shortest) < 1.0
+    assert abs(100.0 * number(raw, "clearance") - 100.0 * shortest) < 1.0
+    still, beat = lines["points"], number(raw, "beat")
+    until(lambda: number(raw, "beat") > beat + 10)
+    assert lines["points"] is still
+    raw.set("Distances and touches", False)
+    until(lambda: not lines["visible"])
+    raw.set("Distances and touches", True)
+    until(lambda: lines["visible"])
+
+
+def test_a_touch_is_drawn_where_the_camera_sees_it(raw: VClient) -> None:
+    point = pull(raw, 0.2)
+    until(lambda: raw.nodes["/touches/0"]["visible"] and np.linalg.norm(raw.position("/touches/0") - elbow(raw)) < 0.2)
+    raw.drag(ELBOW, "end", point, point)
+    until(lambda: not raw.nodes["/touches/0"]["visible"])
+
+
+def test_unplugged_cameras_make_the_arm_halt_and_the_page_say_why(raw: VClient) -> None:
+    raw.set("Unplug the cameras", True)
+    until(lambda: raw.banner()["mode"] == "camera silent")
+    assert "no camera delivers images" in raw.text()
+    until(lambda: "SILENT" in raw.gui[raw.widget("Depth image: SILENT")]["props"]["label"])
+    red, green, _ = np.moveaxis(pixels(raw, "Depth image: SILENT"), -1, 0)
+    assert (red > green + 100).sum() > 100, "crossed out"
+    raw.set("Unplug the cameras", False)
+    until(lambda: raw.banner()["mode"] == "idle" and raw.banner()["silent"] == "")
+    until(lambda: raw.widget("Depth image") is not None)
 
 
 def test_obstacles_come_and_go(raw: VClient) -> None:

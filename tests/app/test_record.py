@@ -15,12 +15,16 @@ rr = pytest.importorskip("rerun")
 from matplotlib.image import imread  # noqa: E402
 from rerun.chunk import RrdReader  # noqa: E402
 
+from app import metrics  # noqa: E402
 from app.record import png  # noqa: E402
 from app.record.recorder import Recorder, RecordingError  # noqa: E402
 from app.record.signals import SIGNALS, SignalTable  # noqa: E402
+from app.record.writer import PLOTTED  # noqa: E402
 from hrc.cell import pace, scenario  # noqa: E402
 from hrc.cell.cell import Cell  # noqa: E402
+from hrc.cell.eyes import rig  # noqa: E402
 from hrc.cell.run import Inbox, run  # noqa: E402
+from hrc.config import Config  # noqa: E402
 from hrc.events import MoveObstacle, RemoveObstacle  # noqa: E402
 from hrc.messages import LINKS  # noqa: E402
 from hrc.parameters import keys  # noqa: E402
@@ -31,8 +35,9 @@ DOCS = Path(__file__).parents[2] / "docs" / "recording.md"
 
 def recorder_of(cell, path, **options):
     config = cell.config
-    return Recorder(path, base_hz=config.rates.base_hz, scene=cell.scene, camera=Camera(config.camera),
-                    parameters=keys(config), about={"scenario": "push", "seed": config.seed}, **options)
+    cameras = {setup.name: Camera(setup.camera) for setup in rig(config, cell.scene)}
+    return Recorder(path, base_hz=config.rates.base_hz, scene=cell.scene, cameras=cameras, parameters=keys(config),
+                    about={"scenario": "push", "seed": config.seed}, **options)
 
 
 @pytest.fixture(scope="module")
@@ -85,23 +90,24 @@ def test_the_entities_are_exactly_the_documented_ones(session):
     found = {chunk.entity_path for chunk in RrdReader(str(path)).store().stream()}
     assert [entity for entity in found if not any(p.fullmatch(entity) for p in patterns)] == []
     assert [p.pattern for p in patterns if not any(p.fullmatch(entity) for entity in found)] == []
-    signals = {s.name for s in SIGNALS} - {"tick", "t", "state"}
+    signals = {s.name for s in SIGNALS} - {"tick", "t", "state", "touch_links", "touch_points", "touch_sure"}
     assert {entity for entity in found if entity.startswith("/signals/")} == {f"/signals/{name}" for name in signals}
     assert {entity for entity in found if entity.startswith("/world/robot/")} == {f"/world/robot/{x}" for x in LINKS}
 
 
 def test_the_columns_are_documented():
     text = DOCS.read_text().split("## signals.parquet")[1]
-    assert re.findall(r"^\| `(\w+)` \| (\d) \| (.+) \|$", text, re.MULTILINE) \
+    assert re.findall(r"^\| `(\w+)` \| (\d+) \| (.+) \|$", text, re.MULTILINE) \
         == [(s.name, str(s.width), s.unit) for s in SIGNALS]
 
 
-@pytest.mark.parametrize("signal", [s for s in SIGNALS if s.name not in ("tick", "t", "state")], ids=lambda s: s.name)
+@pytest.mark.parametrize("signal", PLOTTED, ids=lambda s: s.name)
 def test_signals_are_lossless_and_on_the_clock(session, signal):
     path, columns, *_ = session
     ticks, values = column(path, f"/signals/{signal.name}", "Scalars:scalars")
     assert ticks == columns["tick"].tolist()
     expected = columns[signal.name].astype(float).reshape(len(ticks), signal.width)
+    expected[np.isinf(expected)] = np.nan  # a gap in the curve
     np.testing.assert_array_equal(np.array(values), expected)
 
 
@@ -125,10 +131,77 @@ def test_poses_are_those_of_the_snapshots(session):
         np.testing.assert_allclose(np.reshape(turn[0], (3, 3)).T, T[:3, :3], atol=1e-6)  # columns first
 
 
+def test_lines_and_touches_are_those_of_the_snapshots(session):
+    path, _, snapshots, _ = session
+    by_tick = {s.tick: s for s in snapshots}
+    ticks, strips = column(path, "/world/distances", "LineStrips3D:strips")
+    kept = column(path, "/world/robot/link_5", "Transform3D:translation")[0]
+    assert ticks == kept
+    for tick, lines in zip(ticks, strips, strict=True):
+        expected = [(c.p_robot, c.p_obstacle) for c in by_tick[tick].clearances]
+        np.testing.assert_allclose(np.reshape(lines, (-1, 2, 3)), np.reshape(expected, (-1, 2, 3)), atol=1e-6)
+    ticks, places = column(path, "/world/contact/touches", "Points3D:positions")
+    assert ticks == kept
+    for tick, points in zip(ticks, places, strict=True):
+        expected = [touch.p_world for touch in by_tick[tick].touches]
+        np.testing.assert_allclose(np.reshape(points, (-1, 3)), np.reshape(expected, (-1, 3)), atol=1e-6)
+    assert any(map(len, strips)), "the ball was near"
+    assert any(map(len, places)), "the hand touched"
+
+
+def test_clearances_and_touches_are_in_the_table(session):
+    _, columns, snapshots, _ = session
+    rows = [s for s in snapshots if s.fresh_control]
+    for link in range(1, 8):
+        expected = [next((c.distance for c in s.clearances if c.link == link), np.inf) for s in rows]
+        np.testing.assert_array_equal(columns[f"clearance_{link}"], expected)
+    least = min((c.distance for s in rows for c in s.clearances if c.link > 0), default=None)
+    assert metrics.compute(columns)["clearance_min_m"] == least
+    assert columns["touches"].tolist() == [len(s.touches) for s in rows]
+    for i, s in enumerate(rows):
+        n = len(s.touches)
+        assert columns["touch_links"][i, :n].tolist() == [touch.link for touch in s.touches]
+        assert columns["touch_sure"][i, :n].tolist() == [touch.sure for touch in s.touches]
+        np.testing.assert_array_equal(columns["touch_points"][i, : 3 * n], [x for touch in s.touches for x in touch.p_world])
+        assert np.isnan(columns["touch_links"][i, n:]).all()
+        assert np.isnan(columns["touch_points"][i, 3 * n :]).all()
+    assert not columns["silent_cameras"].any()
+
+
+TWO_CAMERAS = """
+extends = "cell"
+[[camera]]
+name = "behind"
+[[camera]]
+name = "left/far"
+eye = [-0.3, 2.5, 1.0]
+unplugged = true
+"""
+
+
+def test_each_camera_has_its_own_images_and_a_dead_one_is_a_state(tmp_path):
+    (tmp_path / "two.toml").write_text(TWO_CAMERAS)
+    cell, table, path = Cell(Config(scene=str(tmp_path / "two.toml"))), SignalTable(), tmp_path / "session.rrd"
+    with recorder_of(cell, path, depth="full", wait=True) as recorder:
+        run(cell, pace.FreeRun(), Inbox(), [table, recorder], until=600)
+    frames, _ = column(path, "/world/cameras/behind/depth", "EncodedDepthImage:blob")
+    assert len(frames) == recorder.images_kept > 10
+    entities = {chunk.entity_path for chunk in RrdReader(str(path)).store().stream()}
+    assert "/world/cameras/left\\/far" in entities, "its place is known"
+    assert column(path, "/world/cameras/left\\/far/depth", "EncodedDepthImage:blob")[0] == []
+    _, states = column(path, "/state/cameras/left\\/far", "StateChange:state")
+    assert [state[0] for state in states] == ["delivers", "silent"]
+    _, states = column(path, "/state/cameras/behind", "StateChange:state")
+    assert [state[0] for state in states] == ["delivers"]
+    silent = table.columns()["silent_cameras"]
+    assert silent[0] == 0
+    assert silent[-1] == 2, "the second camera"
+
+
 def test_every_depth_frame_is_kept_at_its_exposure_to_the_millimetre(session):
     path, _, snapshots, recorder = session
-    frames = {s.frame.tick: s.frame.depth for s in snapshots if s.fresh_frame}
-    ticks, blobs = column(path, "/world/camera/depth", "EncodedDepthImage:blob")
+    frames = {s.views[0].frame.tick: s.views[0].frame.depth for s in snapshots if s.fresh_frame}
+    ticks, blobs = column(path, "/world/cameras/camera/depth", "EncodedDepthImage:blob")
     assert sorted(frames) == ticks
     assert recorder.images_kept == len(ticks)
     assert recorder.images_dropped == 0
@@ -150,7 +223,8 @@ def test_transitions_events_and_refusals_are_all_there(session):
     told = [text[0] for text in texts]
     assert sum(" refused: " in text for text in told) == sum(len(s.refused) for s in snapshots) == 1
     assert sum(text.startswith("-> ") for text in told) == len(changes)
-    assert len(told) == len(changes) + sum(len(s.events) + len(s.refused) for s in snapshots)
+    assert sum(text.startswith("camera ") for text in told) == 1, "it delivers, from the first tick on"
+    assert len(told) == 1 + len(changes) + sum(len(s.events) + len(s.refused) for s in snapshots)
 
 
 def test_a_sampled_recording_keeps_five_images_a_second_and_none_keeps_none(session, tmp_path):
@@ -162,7 +236,7 @@ def test_a_sampled_recording_keeps_five_images_a_second_and_none_keeps_none(sess
                 recorder.on_step(snapshot)
         assert recorder.images_kept == pytest.approx(kept, abs=1)
     assert {c.entity_path for c in RrdReader(str(tmp_path / "none.rrd")).store().stream()
-            if c.entity_path.startswith("/world/camera/")} <= {"/world/camera/depth"}
+            if c.entity_path.startswith("/world/cameras/camera/")} <= {"/world/cameras/camera/depth"}
 
 
 def test_a_recorder_that_falls_behind_drops_images_only_and_counts_them(session, tmp_path):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hrc.cell.cell import Cell
+from hrc.cell.eyes import Sighting
 from hrc.cell.pace import FreeRun, RealTime
 from hrc.cell.run import Inbox, run
 from hrc.cell.scenario import load
@@ -13,6 +14,7 @@ from hrc.config import PRESETS, Config
 from hrc.errors import ConfigError, DeviceError, HrcError
 from hrc.events import MoveObstacle, Pull, Release, Reset, Resume, SetParameter, Stop
 from hrc.messages import Mode, Snapshot
+from hrc.parameters import replaced
 
 
 class Hash:
@@ -25,13 +27,13 @@ class Hash:
         parts: list[np.ndarray] = [s.state.q, s.state.tau, s.command.dq, s.residual, s.truth.F_world]
         if s.nearest is not None:
             parts += [s.nearest.p_world, np.array([s.nearest.distance])]
-        if s.fresh_frame and s.frame is not None:
-            parts.append(s.frame.depth)
+        parts += [np.array([c.distance, *c.p_robot, *c.p_obstacle]) for c in s.clearances]
         for part in parts:
-            array = np.ascontiguousarray(part)
-            if s.frame is None or array is not s.frame.depth:
-                assert np.isfinite(array).all()
-            self._sha.update(array.tobytes())
+            assert np.isfinite(part).all()
+            self._sha.update(np.ascontiguousarray(part).tobytes())
+        for view in s.views:
+            if s.fresh_frame and view.frame is not None:
+                self._sha.update(view.frame.depth.tobytes())
         self._sha.update(s.command.mode.encode())
 
     @property
@@ -147,35 +149,69 @@ def test_nan_from_the_robot_stops_it_and_keeps_the_last_second(monkeypatch):
     assert worst < 1.0, "the gap must not look like a contact"
 
 
-def test_nan_from_the_camera_stops_it(monkeypatch):
+def test_a_frame_with_nan_is_dropped_and_the_next_one_used(monkeypatch):
     cell = Cell()
     for _ in range(300):
         cell.step()
-    real = cell._camera._noise.image
+    sensor = cell._eyes._eyes[0]._sensor
+    real, spoiled = sensor._noise.image, []
 
     def broken():
         image = real()
-        image[100, 100] = np.nan
+        if len(spoiled) < 2:
+            image[100, 100] = np.nan
+            spoiled.append(1)
         return image
 
-    monkeypatch.setattr(cell._camera._noise, "image", broken)
-    for _ in range(200):
+    monkeypatch.setattr(sensor._noise, "image", broken)
+    modes = {cell.step().command.mode for _ in range(500)}
+    assert len(spoiled) == 2
+    assert modes == {Mode.IDLE}
+
+
+def test_a_camera_that_delivers_only_nan_is_silent_and_the_path_waits(monkeypatch):
+    cell = Cell()
+    for _ in range(300):
+        cell.step()
+    sensor = cell._eyes._eyes[0]._sensor
+    real = sensor._noise.image
+    monkeypatch.setattr(sensor._noise, "image", lambda: np.full_like(real(), np.nan))
+    for _ in range(600):
         snapshot = cell.step()
-    assert snapshot.command.mode is Mode.STOP
-    assert snapshot.command.reason.startswith("camera: the depth image holds NaN")
+    assert snapshot.command.mode is Mode.BLIND
+    assert "the depth image holds NaN" in snapshot.command.reason
+    assert snapshot.views[0].silent
+    monkeypatch.setattr(sensor._noise, "image", real)
+    for _ in range(600):
+        snapshot = cell.step()
+    assert snapshot.command.mode is Mode.IDLE
+    assert not snapshot.views[0].silent
 
 
-def test_a_contact_near_a_dead_camera_counts_as_not_seen(monkeypatch):
-    """Frames stop coming: what the last one showed says nothing any more."""
+def test_without_a_camera_the_arm_waits_on_its_path_and_yields_in_its_joints():
+    """Frames stop coming: what the last one showed says nothing any more, and a contact counts as not seen."""
     cell = Cell()
     cell.apply(MoveObstacle("ball", (-0.2, -0.7, 0.6)))
     for _ in range(400):
         cell.step()
+    cell.apply(SetParameter("sensor.unplugged", True))
+    for _ in range(900):
+        snapshot = cell.step()
+    assert snapshot.command.mode is Mode.BLIND
+    assert snapshot.command.path_speed == 0.0
+    assert np.abs(snapshot.command.dq).max() < 0.01
+    assert snapshot.clearances == ()
+    assert snapshot.nearest is None
     cell.apply(MoveObstacle("ball", (-0.2, 0.3, 0.6)))
-    monkeypatch.setattr(cell._camera, "latest", lambda _: None)
-    modes = {cell.step().command.mode for _ in range(3000)}
-    assert Mode.UNSEEN in modes
-    assert Mode.RELAX not in modes
+    snapshots = [cell.step() for _ in range(2500)]
+    assert {s.command.mode for s in snapshots} & {Mode.UNSEEN, Mode.RELAX}
+    assert not any(s.contact.seen for s in snapshots if s.contact is not None)
+    cell.apply(MoveObstacle("ball", (-0.2, -0.7, 0.6)))
+    cell.apply(SetParameter("sensor.unplugged", False))
+    for _ in range(2500):
+        snapshot = cell.step()
+    assert snapshot.command.mode is Mode.IDLE
+    assert snapshot.command.path_speed > 0.0
 
 
 def test_a_path_out_of_reach_is_refused():
@@ -205,7 +241,10 @@ def test_presets_are_built_and_differ():
     assert trees["paper"].vision.mode == "paper"
     assert trees["literal"].control.law == "printed"
     assert trees["ideal"].plant.torque_noise == 0.0
-    assert len(set(map(repr, trees.values()))) == len(trees)
+    assert trees["harsh"].plant.payload > 0.0
+    assert trees["two_cameras"].scene == "two_cameras"
+    assert trees["realistic"] == trees["default"]
+    assert len(set(map(repr, trees.values()))) == len(trees) - 1
 
 
 def test_an_unknown_device_is_one_clear_error():
@@ -215,17 +254,19 @@ def test_an_unknown_device_is_one_clear_error():
     assert issubclass(ConfigError, HrcError)
 
 
-def test_an_arm_that_sees_nothing_does_not_keep_pressing(monkeypatch):
-    """A ball stands in the wrist's way and the camera is dead: one bump, then a wary touch now and then."""
-    cell = Cell()
+@pytest.mark.parametrize("felt_radius", [0.0, 0.2], ids=["reflex", "felt"])
+def test_an_arm_that_sees_nothing_does_not_keep_pressing(monkeypatch, felt_radius):
+    """A ball that no camera sees stands in the wrist's way: one bump, then a wary touch now and then."""
+    cell = Cell(replaced(Config(), "tracker.felt_radius", felt_radius))
     for _ in range(1500):
         cell.step()
-    monkeypatch.setattr(cell._camera, "latest", lambda _: None)
+    monkeypatch.setattr(cell._eyes, "localize", lambda *_: Sighting())
     cell.apply(MoveObstacle("ball", (-0.55, -0.23, 0.53)))
     snapshots = [cell.step() for _ in range(8000)]
     force = np.array([np.linalg.norm(s.truth.F_world) for s in snapshots])
     touched = int(np.argmax(force > 1.0))
-    assert Mode.UNSEEN in {s.command.mode for s in snapshots}
+    modes = {s.command.mode for s in snapshots}
+    assert (Mode.UNSEEN if felt_radius == 0.0 else Mode.RELAX) in modes
     assert 5.0 < force.max() < 60.0
-    assert force[touched + 2000:].max() < 20.0
+    assert force[touched + 2000:].max() < (20.0 if felt_radius == 0.0 else 30.0)
     assert force[touched + 2000:].max() > 1.0, "the ball still stands there"

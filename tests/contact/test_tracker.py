@@ -1,10 +1,11 @@
-"""Whose contact is it? What vision offers becomes a contact only when the residual agrees, and not for longer."""
+"""Where is the contact, and whose? Residual and vision together give it a place, and not for longer than it is felt."""
 
 import numpy as np
 import pytest
 
 from hrc.contact.estimate import ContactTracker, TrackerConfig
 from hrc.contact.force import ForceConfig
+from hrc.contact.proprioception import ProprioceptionConfig, ResidualLocalizer, SurfaceSamples
 from hrc.contact.residual import Detector, ObserverConfig
 from hrc.geometry import apply
 from hrc.messages import Nearest
@@ -13,16 +14,31 @@ from hrc.model import Dynamics, load_spec, pinocchio_model
 DT = 0.005
 DYNAMICS = Dynamics(pinocchio_model(load_spec().compile(), armature=False))
 TERMS = DYNAMICS.terms(np.deg2rad([5.0, 27.0, -10.0, -83.0, 8.0, 69.0, 0.0]), np.zeros(7))
-POINTS = {3: (0.0, -0.08, -0.07), 4: (0.0, 0.06, 0.1), 5: (0.05, 0.0, -0.1), 6: (0.07, 0.0, 0.0), 7: (0.0, 0.04, 0.06)}
+SAMPLES = SurfaceSamples(1500, TERMS.T_world_link)
+NOWHERE = {"felt_radius": 0.0}
+"""Without the joints' own idea of the place."""
 
 
-def near(link: int, distance: float = 0.02, p_link=None) -> Nearest:
-    p_link = np.array(POINTS[link] if p_link is None else p_link)
-    return Nearest(0, 0, link, apply(TERMS.T_world_link[link], p_link), p_link, distance, (0, 0))
+def place(link: int, share: float = 0.5) -> int:
+    """A sample of a link, `share` of the way through its list."""
+    part = SAMPLES.of_link[link]
+    return part.start + int(share * (part.stop - part.start - 1))
 
 
-def residual(link: int, force) -> np.ndarray:
-    return TERMS.J_contact(link, apply(TERMS.T_world_link[link], POINTS[link])).T @ np.asarray(force, float)
+def point(k: int) -> np.ndarray:
+    return apply(TERMS.T_world_link[SAMPLES.link[k]], SAMPLES.p[k])
+
+
+def push(k: int, strength: float = 30.0) -> np.ndarray:
+    return strength * TERMS.T_world_link[SAMPLES.link[k], :3, :3] @ SAMPLES.inward[k]
+
+
+def residual(k: int, strength: float = 30.0) -> np.ndarray:
+    return TERMS.J_contact(int(SAMPLES.link[k]), point(k)).T @ push(k, strength)
+
+
+def near(k: int, distance: float = 0.01) -> Nearest:
+    return Nearest(0, 0, int(SAMPLES.link[k]), point(k), SAMPLES.p[k], distance, (0, 0))
 
 
 class Felt:
@@ -30,7 +46,8 @@ class Felt:
 
     def __init__(self, **config) -> None:
         self.detector = Detector(ObserverConfig())
-        self.tracker = ContactTracker(TrackerConfig(**config), ForceConfig(), DT)
+        localizer = ResidualLocalizer(ProprioceptionConfig(), SAMPLES)
+        self.tracker = ContactTracker(TrackerConfig(**config), ForceConfig(), localizer, DT)
 
     def step(self, r, *seen: Nearest, keep: bool = False):
         self.detector.update(np.asarray(r, float))
@@ -40,65 +57,92 @@ class Felt:
         return [self.step(*args, **kw) for _ in range(round(seconds / DT))][-1]
 
 
+@pytest.mark.parametrize("share", [0.3, 0.7])
 @pytest.mark.parametrize("link", [4, 5, 6, 7])
-def test_a_seen_and_felt_contact_has_its_force(link):
-    force = np.array([8.0, -20.0, 6.0])
-    contact = Felt().step(residual(link, force), near(link))
+def test_a_seen_and_felt_contact_has_its_place_and_force(link, share):
+    k = place(link, share)
+    contact = Felt().step(residual(k), near(k))
     assert contact is not None
-    assert contact.link == link
-    np.testing.assert_allclose(contact.F_world, force, atol=4.0 if contact.sigma_min < 0.1 else 1e-6)
+    assert contact.seen
+    assert np.linalg.norm(contact.p_world - point(k)) < 0.04
+    if contact.link == link and contact.sigma_min > 0.1:
+        assert np.linalg.norm(contact.F_world - push(k)) < 11.0
 
 
 def test_nothing_felt_is_no_contact_however_near():
-    assert Felt().step(np.zeros(7), near(5, 0.0)) is None
+    assert Felt().step(np.zeros(7), near(place(5), 0.0)) is None
 
 
 def test_a_bystander_is_not_taken_for_the_one_who_pushes():
-    """40 N on link 3 from where nobody sees it, and something near link 7: the place is unknown, and said to be."""
-    r = residual(3, [0.0, 40.0, 0.0])
-    assert Felt().step(r, near(7)) is None
-    seen_too = Felt().step(r, near(7, 0.01), near(3, 0.03))
-    assert seen_too is not None
-    assert seen_too.link == 3
-    trusting = Felt(unexplained=1.0).step(r, near(7))
-    assert trusting is not None
+    """30 N on link 5 from where nobody sees it, and something near link 3: the place is that which the joints feel."""
+    k = place(5)
+    felt = Felt()
+    assert felt.step(residual(k), near(place(3))) is None
+    contact = felt.run(0.2, residual(k), near(place(3)))
+    assert not contact.seen
+    assert contact.link == 5
+    assert np.linalg.norm(contact.p_world - point(k)) < 0.06
+
+
+def test_vision_decides_between_places_that_the_joints_cannot_tell_apart():
+    """A push on link 3 is felt by two joints only; with an obstacle in sight its place is known all the same."""
+    k = place(3, 0.6)
+    unseen, seen = Felt(felt_radius=1.0).run(0.3, residual(k, 60.0)), Felt().run(0.3, residual(k, 60.0), near(k))
+    assert seen.seen
+    assert np.linalg.norm(seen.p_world - point(k)) < 0.04
+    assert unseen.radius > seen.radius
+
+
+def test_a_contact_whose_place_is_told_too_badly_has_none():
+    assert Felt(**NOWHERE).run(1.0, residual(place(5))) is None
+    two = residual(place(4)) - residual(place(6))
+    assert Felt(felt_misfit=0.1).run(1.0, two) is None
 
 
 def test_an_obstacle_out_of_reach_explains_nothing():
-    assert Felt(reach=0.05).step(residual(5, [0.0, 30.0, 0.0]), near(5, 0.06)) is None
+    k = place(5)
+    assert Felt(reach=0.05, **NOWHERE).step(residual(k), near(k, 0.06)) is None
 
 
-def test_a_lost_point_is_kept_for_a_while_and_longer_where_the_arm_still_acts_at_it():
-    r = residual(5, [0.0, 30.0, 0.0])
+def test_a_lost_place_is_kept_for_a_while_and_longer_where_the_arm_still_acts_at_it():
+    k = place(5)
     for keep, after in ((False, False), (True, True)):
-        felt = Felt(hold=0.2)
-        felt.step(r, near(5))
-        assert felt.run(0.15, r, keep=keep) is not None
-        assert (felt.run(0.5, r, keep=keep) is not None) == after
+        felt = Felt(hold=0.2, **NOWHERE)
+        felt.step(residual(k), near(k))
+        assert felt.run(0.15, residual(k), keep=keep) is not None
+        assert (felt.run(0.5, residual(k), keep=keep) is not None) == after
 
 
-def test_another_link_must_be_the_nearest_for_a_time():
-    r = residual(5, [0.0, 30.0, 0.0]) + residual(4, [0.0, 5.0, 0.0])
-    felt = Felt(unexplained=1.0, switch=0.15)
-    felt.step(r, near(5))
-    both = near(4, 0.01), near(5, 0.02)
-    assert felt.run(0.1, r, *both).link == 5
-    assert felt.run(0.1, r, *both).link == 4
+def test_another_link_must_be_the_likeliest_for_a_time():
+    here, there = place(5), place(6)
+    felt = Felt(switch=0.15)
+    assert felt.run(0.3, residual(here), near(here), near(there)).link == 5
+    assert felt.run(0.1, residual(there), near(here), near(there)).link == 5
+    assert felt.run(0.4, residual(there), near(here), near(there)).link == 6
 
 
-def test_the_point_glides_over_its_link():
-    r = residual(5, [0.0, 30.0, 0.0])
+def test_the_place_glides_over_its_link():
+    part = SAMPLES.of_link[5]
+    apart = np.linalg.norm(SAMPLES.p[part] - SAMPLES.p[place(5)], axis=1)
+    here, there = place(5), part.start + int(np.argmin(np.abs(apart - 0.06)))
     felt = Felt(smoothing=0.1)
-    first = felt.step(r, near(5)).p_link
-    jumped = near(5, p_link=first + np.array([0.0, 0.0, 0.05]))
-    assert np.linalg.norm(felt.step(r, jumped).p_link - first) < 0.005
-    assert np.linalg.norm(felt.run(0.6, r, jumped).p_link - jumped.p_link) < 0.001
+    first = felt.run(0.5, residual(here), near(here)).p_link
+    assert np.linalg.norm(felt.step(residual(there), near(there)).p_link - first) < 0.01
+    assert np.linalg.norm(felt.run(1.0, residual(there), near(there)).p_link - SAMPLES.p[there]) < 0.03
+
+
+def test_what_is_felt_no_more_is_forgotten():
+    k = place(5)
+    felt = Felt()
+    assert felt.run(0.3, residual(k), near(k)) is not None
+    assert felt.step(np.zeros(7), near(k)) is None
+    assert felt.step(residual(place(6)), near(place(6))).link == 6
 
 
 def test_the_gate_is_the_force_at_which_detection_ends():
-    r = residual(5, [0.0, 30.0, 0.0])
+    k = place(5)
     felt = Felt()
-    contact = felt.step(r, near(5))
+    contact = felt.run(0.5, residual(k), near(k))
     share = contact.F_gate / np.linalg.norm(contact.F_world)
-    assert felt.step(1.02 * share * r, near(5)) is not None
-    assert felt.step(0.98 * share * r, near(5)) is None
+    assert felt.step(1.02 * share * residual(k), near(k)) is not None
+    assert felt.step(0.98 * share * residual(k), near(k)) is None

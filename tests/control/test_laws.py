@@ -31,7 +31,7 @@ def test_the_projector_is_one_even_where_the_inverse_is_damped(seed, weakest):
 def test_the_task_is_exact_when_well_conditioned(seed):
     J = random_jacobian(seed)
     dx = np.random.default_rng(seed).uniform(-0.2, 0.2, 3)
-    np.testing.assert_allclose(J @ laws.task_velocity(laws.inverse(J).pinv, dx, np.zeros(3), 10.0, 0.25), dx, atol=1e-9)
+    np.testing.assert_allclose(J @ laws.inverse(J).pinv @ laws.task_velocity(dx, np.zeros(3), 10.0, 0.25), dx, atol=1e-9)
 
 
 @given(seeds, st.floats(0.0, 0.3))

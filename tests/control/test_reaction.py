@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from hrc.control.reaction import Reaction, ReactionConfig
-from hrc.control.reference import Hexagon, PathFollower, TaskConfig
+from hrc.control.reaction import OPEN, Reaction, ReactionConfig, Surroundings
+from hrc.control.reference import PathFollower, TaskConfig, make_path
 from hrc.errors import ConfigError
-from hrc.geometry import apply
+from hrc.geometry import apply, rotation_vector
 from hrc.messages import Command, Contact, Mode
 from hrc.model import Dynamics, joint_limits, load_spec, pinocchio_model
 
@@ -21,16 +21,19 @@ WRIST = (6, np.array([0.0, -0.07, 0.0]))
 class Arm:
     """Kinematics only: q follows the command, contacts are given."""
 
-    def __init__(self, config: ReactionConfig | None = None) -> None:
+    def __init__(self, config: ReactionConfig | None = None, *, upright: bool = False) -> None:
         task = TaskConfig()
-        path = PathFollower(Hexagon(task), task.speed)
+        path = PathFollower(make_path(task), task.speed)
         q_d = DYNAMICS.solve_position(np.array(task.centre), np.deg2rad(task.posture_deg))
         self.q = DYNAMICS.solve_position(path.x_d, q_d)
-        self.reaction = Reaction(config or ReactionConfig(), path, q_d, (LIMITS.q_min, LIMITS.q_max, LIMITS.dq_max), DT)
+        self.R_d = self.tool
+        self.reaction = Reaction(config or ReactionConfig(), path, q_d, (LIMITS.q_min, LIMITS.q_max, LIMITS.dq_max), DT,
+                                 self.tool if upright else None)
         self.dq = np.zeros(7)
         self.jump = 0.0
 
-    def step(self, force=None, at=ELBOW, residual=None, detected: bool | None = None) -> Command:
+    def step(self, force=None, at=ELBOW, residual=None, detected: bool | None = None,
+             surroundings: Surroundings = OPEN) -> Command:
         terms = DYNAMICS.terms(self.q, self.dq)
         contact = None
         if force is not None:
@@ -39,7 +42,8 @@ class Arm:
             J_c = terms.J_contact(link, p)
             contact = Contact(link, p, p_link, J_c, np.asarray(force, float), 0.1, np.zeros(3))
         felt = contact is not None if detected is None else detected
-        command = self.reaction.update(self.q, terms, np.zeros(7) if residual is None else residual, felt, contact)
+        command = self.reaction.update(
+            self.q, terms, np.zeros(7) if residual is None else residual, felt, contact, surroundings)
         self.jump = max(self.jump, float(np.abs(command.dq - self.dq).max()))
         self.dq = command.dq
         self.q = self.q + DT * command.dq
@@ -47,6 +51,14 @@ class Arm:
 
     def run(self, seconds: float, **kw) -> list[Command]:
         return [self.step(**kw) for _ in range(round(seconds / DT))]
+
+    @property
+    def tool(self) -> np.ndarray:
+        return DYNAMICS.kinematics(self.q)[0][7, :3, :3]
+
+    def turned(self) -> float:
+        """How far the tool has turned from where it began [rad]."""
+        return float(np.linalg.norm(rotation_vector(self.R_d @ self.tool.T)))
 
     def point(self, at) -> np.ndarray:
         return apply(DYNAMICS.kinematics(self.q)[0][at[0]], at[1])
@@ -231,3 +243,62 @@ def test_the_end_effector_is_kept_off_the_table_while_the_task_is_abandoned():
         arm.run(1.0)
         lowest[floor] = min(c.x[2] for c in arm.run(6.0, force=[-40.0, 0.0, -40.0]))
     assert lowest[0.3] > lowest[-1.0] + 0.05
+
+
+def test_an_abort_lasts_while_an_obstacle_is_seen_close_by():
+    arm = Arm()
+    arm.run(1.0)
+    assert arm.run(1.0, force=[0.0, 40.0, 0.0])[-1].mode is Mode.ABORT
+    assert arm.run(5.0, surroundings=Surroundings(clearance=0.02))[-1].mode is Mode.ABORT
+    after = arm.run(3.0, surroundings=Surroundings(clearance=0.04))
+    assert after[-1].mode is Mode.IDLE
+    assert errors(after)[-1] < 1e-3
+
+
+def test_without_a_camera_the_path_waits_and_goes_on_smoothly():
+    arm = Arm()
+    arm.run(2.0)
+    waiting = arm.run(2.0, surroundings=Surroundings(blindness="unplugged"))
+    assert waiting[-1].mode is Mode.BLIND
+    assert waiting[-1].reason == "unplugged"
+    assert waiting[-1].path_speed == 0.0
+    np.testing.assert_allclose(waiting[-1].x_d, waiting[200].x_d)
+    assert np.abs(waiting[-1].dq).max() < 0.01
+    after = arm.run(3.0)
+    assert after[-1].mode is Mode.IDLE
+    assert errors(waiting + after).max() < 1e-3
+    assert arm.jump < ReactionConfig().ddq_max * DT + 1e-9
+
+
+def test_without_a_camera_a_contact_still_starts_the_reflex():
+    arm, blind = Arm(), Surroundings(blindness="unplugged")
+    arm.run(1.0)
+    arm.run(0.5, surroundings=blind)
+    residual = np.array([0.0, 5.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    commands = arm.run(0.5, residual=residual, detected=True, surroundings=blind)
+    assert commands[-1].mode is Mode.UNSEEN
+    assert commands[-1].dq[1] > 0.05
+    assert arm.run(2.0, surroundings=blind)[-1].mode is Mode.BLIND
+
+
+def test_a_task_of_six_keeps_the_tool_upright_and_still_gives_way():
+    arm = Arm(upright=True)
+    commands = arm.run(6.0)
+    assert errors(commands)[200:].max() < 1e-3
+    assert arm.turned() < 2e-3
+    commands = arm.run(2.0, force=[0.0, 15.0, 0.0])
+    assert {c.mode for c in commands} == {Mode.RELAX}
+    assert errors(commands).max() < 2e-3
+    assert arm.turned() < 5e-3
+
+
+def test_the_path_slows_down_before_an_obstacle_only_if_asked_to():
+    near, half = Surroundings(clearance=0.04), Surroundings(clearance=0.175)
+    assert Arm().run(2.0, surroundings=near)[-1].path_speed == 1.0
+    arm = Arm(ReactionConfig(separation=True))
+    assert arm.run(2.0)[-1].path_speed == 1.0
+    assert arm.run(2.0, surroundings=half)[-1].path_speed == pytest.approx(0.5)
+    stood = arm.run(2.0, surroundings=near)
+    assert stood[-1].path_speed == 0.0
+    assert errors(stood).max() < 1e-3
+    assert arm.run(2.0)[-1].path_speed == 1.0

@@ -51,7 +51,7 @@ class DeviceStages:
 
     def render(self, meshes, poses, margin=0.0):
         raster = kernels.Rasteriser(kernels.grid(self.camera), meshes, self.device)
-        raster.margin = margin
+        raster.expand(margin)
         raster.place(poses)
         kernels.Graph([raster.launch], self.device).replay()
         return raster.image()
@@ -69,7 +69,7 @@ class DeviceStages:
     def filtered(self, real, robot, environment, neighbours=0):
         return self._filter(real, robot, environment, neighbours).image()
 
-    def _distance(self, robot, link, foreground, reach, thickness):
+    def distance(self, robot, link, foreground, reach, thickness):
         nothing = np.full(robot.shape, np.inf)
         passed = self._filter(foreground, nothing, nothing)
         keys = kernels.upload(kernels.pack(robot, link, passed.grid), "uint32", self.device)
@@ -79,17 +79,36 @@ class DeviceStages:
         return stage
 
     def distance_map(self, robot, link, foreground, reach, thickness):
-        return self._distance(robot, link, foreground, reach, thickness).image()
+        return self.distance(robot, link, foreground, reach, thickness).image()
 
-    def contact_point(self, robot, link, foreground, reach, thickness, **options):
-        point = kernels.ContactPoints(self._distance(robot, link, foreground, reach, thickness))
+    def points(self, robot, link, foreground, reach=0.1, thickness=0.12, **options):
+        point = kernels.ContactPoints(self.distance(robot, link, foreground, reach, thickness))
         for name, value in options.items():
             setattr(point, name, value)
         point.launch()
-        return next(iter(point.result()), None)
+        return point.result()
+
+    def contact_point(self, robot, link, foreground, reach, thickness, **options):
+        return next(iter(self.points(robot, link, foreground, reach, thickness, **options)), None)
 
 
 def representable(camera, robot, link):
     """The same robot image as a raster key can hold it."""
     grid = kernels.grid(camera)
     return kernels.unpack(kernels.pack(robot, link, grid), grid)
+
+
+def tied_images(pixels):
+    """A camera, robot, link and foreground: three links of single pixels, each with an obstacle so many pixels to the right.
+
+    Every coordinate is a short binary fraction, so that all distances are the same number on every device. The first pixel
+    of a link lies in the right one of two tiles side by side.
+    """
+    camera = Camera(CameraConfig(width=96, height=64, fx=64.0, fy=64.0, cx=48.0, cy=32.0))
+    robot, link = np.full(camera.shape, np.inf, np.float32), np.full(camera.shape, 255, np.uint8)
+    foreground = robot.copy()
+    for on, v, u in ((3, 42, 16), (4, 9, 0), (7, 25, 48)):
+        for row, column in ((0, 20), (1, 5), (4, 31), (9, 3), (12, 30)):
+            robot[v + row, u + column], link[v + row, u + column] = 1.0, on
+            foreground[v + row, u + column + pixels] = 1.0
+    return camera, robot, link, foreground

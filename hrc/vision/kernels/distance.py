@@ -11,8 +11,9 @@ import numpy as np
 import warp as wp
 
 from hrc.vision.kernels import native
+from hrc.vision.kernels.chords import endless
 from hrc.vision.kernels.filtering import Filter
-from hrc.vision.kernels.runtime import pixels_per_thread, read, zeros
+from hrc.vision.kernels.runtime import pixels_per_thread, read, tiles_per_thread, upload, zeros
 from hrc.vision.kernels.types import (
     ID,
     LINK_COUNT,
@@ -50,56 +51,59 @@ def gap(a: int, a_end: int, b: int, b_end: int) -> float:
     return float(wp.max(0, wp.max(b - a_end + 1, a - b_end + 1)))
 
 
-@wp.func
-def ray_square(tile: int, g: Grid) -> float:
-    """Largest |k|^2 over a tile."""
-    u = float((tile % g.tiles_x) * TILE_W) - g.cx
-    v = float((tile / g.tiles_x) * TILE_H) - g.cy
-    x = wp.max(wp.abs(u), wp.abs(u + float(TILE_W - 1))) / g.fx
-    y = wp.max(wp.abs(v), wp.abs(v + float(TILE_H - 1))) / g.fy
-    return 1.0 + x * x + y * y
-
-
 @wp.kernel(module=MODULE)
-def list_candidates(keys: Keys, links: wp.uint32, near: Floats, far: Floats, reach: float, thickness: float, g: Grid,
-                    lists: Ints, counts: Ints, active: Ints, n_active: Ints):
-    """For each tile with robot pixels: the obstacle tiles that may hold a point within reach."""
-    t = wp.tid()
-    tx = t % g.tiles_x
-    ty = t / g.tiles_x
-    depth = native.robot_range(keys, ty * TILE_H * g.stride + tx * TILE_W, links, g)
-    if depth[1] == 0.0:
+def list_candidates(keys: Keys, links: wp.uint32, near: Floats, far: Floats, reach: float, thickness: float, region: Ints,
+                    run: int, squares: Floats, g: Grid, lists: Ints, counts: Ints, active: Ints, n_active: Ints):
+    """For each tile with robot pixels: the obstacle tiles that may hold a point within reach.
+
+    A thread takes `run` tiles side by side. The region holds all robot pixels and all obstacles within reach of them.
+    """
+    runs = (g.tiles_x + run - 1) / run
+    x0 = wp.tid() % runs * run
+    ty = wp.tid() / runs
+    if ty < region[1] or ty >= region[3]:
         return
-    n = int(0)
-    rx = int(reach * g.ray * g.fx / depth[0] / float(TILE_W)) + 1
-    ry = int(reach * g.ray * g.fy / depth[0] / float(TILE_H)) + 1
-    for y in range(wp.max(0, ty - ry), wp.min(g.tiles_y, ty + ry + 1)):  # pyright: ignore[reportArgumentType]
-        dy = gap(ty * TILE_H, ty * TILE_H + TILE_H, y * TILE_H, y * TILE_H + TILE_H) / g.fy
-        for x in range(wp.max(0, tx - rx), wp.min(g.tiles_x, tx + rx + 1)):  # pyright: ignore[reportArgumentType]
-            o = y * g.tiles_x + x
-            if near[o] < depth[1] + reach and far[o] + thickness > depth[0] - reach and far[o] > 0.0:
-                dx = gap(tx * TILE_W, tx * TILE_W + TILE_W, x * TILE_W, x * TILE_W + TILE_W) / g.fx
-                if SLACK * depth[0] * depth[0] * (dx * dx + dy * dy) < reach * reach * ray_square(o, g):
-                    if n < MAX_CANDIDATES:
-                        lists[t * MAX_CANDIDATES + n] = o
-                    n += 1
-    counts[t] = n
-    if n > 0:
-        active[wp.atomic_add(n_active, 0, 1)] = t
+    for tx in range(wp.max(x0, region[0]), wp.min(x0 + run, region[2])):  # pyright: ignore[reportArgumentType]
+        t = ty * g.tiles_x + tx
+        depth = native.robot_range(keys, ty * TILE_H * g.stride + tx * TILE_W, links, g)
+        if depth[1] > 0.0:
+            n = int(0)
+            rx = int(reach * g.ray * g.fx / depth[0] / float(TILE_W)) + 1
+            ry = int(reach * g.ray * g.fy / depth[0] / float(TILE_H)) + 1
+            for y in range(wp.max(region[1], ty - ry), wp.min(region[3], ty + ry + 1)):  # pyright: ignore[reportArgumentType]
+                dy = gap(ty * TILE_H, ty * TILE_H + TILE_H, y * TILE_H, y * TILE_H + TILE_H) / g.fy
+                for x in range(wp.max(region[0], tx - rx), wp.min(region[2], tx + rx + 1)):  # pyright: ignore[reportArgumentType]
+                    o = y * g.tiles_x + x
+                    if far[o] > 0.0 and near[o] < depth[1] + reach and far[o] + thickness > depth[0] - reach:
+                        dx = gap(tx * TILE_W, tx * TILE_W + TILE_W, x * TILE_W, x * TILE_W + TILE_W) / g.fx
+                        if SLACK * depth[0] * depth[0] * (dx * dx + dy * dy) < reach * reach * squares[o]:
+                            if n < MAX_CANDIDATES:
+                                lists[t * MAX_CANDIDATES + n] = o
+                            n += 1
+            counts[t] = n
+            if n > 0:
+                active[wp.atomic_add(n_active, 0, 1)] = t
 
 
 @wp.kernel(module=MODULE)
-def measure(keys: Keys, links: wp.uint32, depth: Floats, near: Floats, far: Floats, reach: float, thickness: float,
-            g: Grid, lists: Ints, counts: Ints, active: Ints, n_active: Ints, grain: int, distances: Floats,
-            nearest: Ranks):
+def measure(keys: Keys, links: wp.uint32, depth: Floats, back: Floats, near: Floats, far: Floats, reach: float,
+            thickness: float, region: Ints, squares: Floats, g: Grid, lists: Ints, counts: Ints, active: Ints, n_active: Ints,
+            grain: int, distances: Floats, nearest: Ranks):
     """Distance of the pixels of the active tiles, `grain` of them a thread, +inf off the robot and beyond reach."""
     i = wp.tid() * grain
     if i / TILE >= n_active[0]:
         return
     t = active[i / TILE]
+    listed = counts[t] <= MAX_CANDIDATES
     n = counts[t]
-    if n > MAX_CANDIDATES:
-        n = g.tiles_x * g.tiles_y
+    wide = region[2] - region[0]
+    if not listed:
+        n = wide * (region[3] - region[1])
+    ix = 1.0 / g.fx
+    iy = 1.0 / g.fy
+    # Of the pixel before: where it is, and how far from an obstacle.
+    last = wp.vec3()
+    bound = float(-1.0)
     for j in range(i % TILE, i % TILE + grain):
         u = (t % g.tiles_x) * TILE_W + j % TILE_W
         v = (t / g.tiles_x) * TILE_H + j / TILE_W
@@ -108,41 +112,55 @@ def measure(keys: Keys, links: wp.uint32, depth: Floats, near: Floats, far: Floa
         least = float(reach * reach)
         if key != wp.uint32(0) and ((links >> (key & ID)) & wp.uint32(1)) != wp.uint32(0):
             z = depth_of(key)
-            x = (float(u) - g.cx) / g.fx * z
-            y = (float(v) - g.cy) / g.fy * z
-            for k in range(n):
-                o = k
-                if counts[t] <= MAX_CANDIDATES:
-                    o = lists[t * MAX_CANDIDATES + k]
-                ahead = wp.max(0.0, wp.max(near[o] - z, z - far[o] - thickness))
-                if SLACK * ahead * ahead < least:
-                    ou = (o % g.tiles_x) * TILE_W
-                    ov = (o / g.tiles_x) * TILE_H
-                    dx = gap(u, u + 1, ou, ou + TILE_W) / g.fx
-                    dy = gap(v, v + 1, ov, ov + TILE_H) / g.fy
-                    if SLACK * z * z * (dx * dx + dy * dy) < least * ray_square(o, g):
-                        least = wp.min(least, native.tile_distance(depth, ou, ov, x, y, z, thickness, g))
+            p = wp.vec3((float(u) - g.cx) * ix * z, (float(v) - g.cy) * iy * z, z)
+            if depth[pixel] <= z and z <= wp.min(back[pixel], depth[pixel] + thickness):
+                least = 0.0
+            else:
+                if bound >= 0.0:
+                    # No farther than the pixel before, the way from there, and that of the obstacle's point on its ray.
+                    bound += wp.length(p - last) + g.ray * wp.abs(z - last[2]) + 1.0e-5
+                    least = wp.min(least, bound * bound)
+                for k in range(n):
+                    o = int(0)
+                    if listed:  # noqa: SIM108 -- a kernel's `if` expression would read both
+                        o = lists[t * MAX_CANDIDATES + k]
+                    else:
+                        o = (region[1] + k / wide) * g.tiles_x + region[0] + k % wide
+                    ahead = wp.max(0.0, wp.max(near[o] - z, z - far[o] - thickness))
+                    if SLACK * ahead * ahead < least:
+                        ou = (o % g.tiles_x) * TILE_W
+                        ov = (o / g.tiles_x) * TILE_H
+                        dx = gap(u, u + 1, ou, ou + TILE_W) * ix
+                        dy = gap(v, v + 1, ov, ov + TILE_H) * iy
+                        if SLACK * z * z * (dx * dx + dy * dy) < least * squares[o]:
+                            least = wp.min(least, native.tile_distance(depth, back, ou, ov, p[0], p[1], z, thickness, g))
+            last = p
         if least < reach * reach:
-            distances[pixel] = wp.sqrt(least)
+            bound = wp.sqrt(least)
+            distances[pixel] = bound
             # The rank orders by distance, then by pixel: equal distances always give the same pixel.
             wp.atomic_min(nearest, int(key & ID), (wp.uint64(wp.cast(least, wp.uint32)) << wp.uint64(32)) | wp.uint64(pixel))
         else:
+            bound = -1.0
             distances[pixel] = wp.inf
 
 
 class Distance:
     """The distance map between a robot raster and what a filter left.
 
-    keys: the robot's raster; links: bit set of the links that count; reach [m]: rho; thickness [m]: of obstacles.
+    keys: the robot's raster; links: bit set of the links that count; reach [m]: rho; thickness [m]: of obstacles, at most;
+    back: how far back each of their pixels reaches, or nothing for `thickness` everywhere.
     distances: the map, flat, valid in the first n_active tiles of `active`; nearest: its least rank on each link.
     """
 
     def __init__(self, g: Grid, keys: Any, foreground: Filter, device: str) -> None:
         self.grid, self.device, self.keys, self._foreground = g, device, keys, foreground
         self.links, self.reach, self.thickness = 0xFF, 0.1, 0.12
+        self.depth, self.back, self.region = foreground.foreground, endless(g, device), foreground.region
         tiles = g.tiles_x * g.tiles_y
         self._lists, self._counts, self.active = (zeros(n, wp.int32, device) for n in
                                                   (tiles * MAX_CANDIDATES, tiles, tiles))
+        self._squares = upload(_ray_squares(g), wp.float32, device)
         self.n_active = zeros(1, wp.int32, device)
         self.nearest = zeros(LINK_COUNT, wp.uint64, device)
         self.distances = zeros(pixels(g), wp.float32, device)
@@ -150,14 +168,14 @@ class Distance:
     def launch(self) -> None:
         """Queue the search."""
         g, f, links = self.grid, self._foreground, wp.uint32(self.links)
-        tiles, grain = g.tiles_x * g.tiles_y, pixels_per_thread(self.device)
+        tiles, grain, run = g.tiles_x * g.tiles_y, pixels_per_thread(self.device), tiles_per_thread(g, self.device)
         wp.launch(reset, dim=1, inputs=[self.n_active, self.nearest], device=self.device)
-        wp.launch(list_candidates, dim=tiles, device=self.device, inputs=[
-            self.keys, links, f.nearest, f.farthest, self.reach, self.thickness, g, self._lists, self._counts,
-            self.active, self.n_active])
+        wp.launch(list_candidates, dim=-(-g.tiles_x // run) * g.tiles_y, device=self.device, inputs=[
+            self.keys, links, f.nearest, f.farthest, self.reach, self.thickness, f.region, run, self._squares, g, self._lists,
+            self._counts, self.active, self.n_active])
         wp.launch(measure, dim=tiles * TILE // grain, device=self.device, inputs=[
-            self.keys, links, f.foreground, f.nearest, f.farthest, self.reach, self.thickness, g, self._lists,
-            self._counts, self.active, self.n_active, grain, self.distances, self.nearest])
+            self.keys, links, f.foreground, self.back, f.nearest, f.farthest, self.reach, self.thickness, f.region,
+            self._squares, g, self._lists, self._counts, self.active, self.n_active, grain, self.distances, self.nearest])
 
     def image(self) -> np.ndarray:
         """A fresh copy of the distance map [m] (H, W), +inf off the robot and beyond reach."""
@@ -168,3 +186,11 @@ class Distance:
         index = first[:, None, None] + np.arange(TILE_H)[:, None] * g.stride + np.arange(TILE_W)
         out[index] = values[index]
         return to_image(out, g).copy()
+
+
+def _ray_squares(g: Grid) -> np.ndarray:
+    """Largest |k|^2 over each tile, flat."""
+    x, y = (TILE_W * np.arange(g.tiles_x) - g.cx) / g.fx, (TILE_H * np.arange(g.tiles_y) - g.cy) / g.fy
+    x = np.maximum(np.abs(x), np.abs(x + (TILE_W - 1) / g.fx))
+    y = np.maximum(np.abs(y), np.abs(y + (TILE_H - 1) / g.fy))
+    return (1.0 + x**2 + y[:, None] ** 2).ravel()

@@ -1,7 +1,6 @@
 """The inner loops that a CPU compiler can only vectorise when they are written out in C++.
 
-Everything compiles for CUDA as well. Only the raster differs there: its vector loop reads, compares and writes, which
-races between threads, so CUDA takes an atomic maximum per pixel instead.
+Everything compiles for CUDA as well.
 """
 
 import warp as wp
@@ -9,85 +8,19 @@ import warp as wp
 from hrc.vision.kernels.types import Grid
 
 
-# Vertices [first, first + n), all of one frame: moved out by `margin` along the normal, then to (u, v, 1/z); 1/z is -1 for
-# what is nearer than `near`.
+# The keys of one tile back to the background, 0 without one.
 @wp.func_native(r"""
-    const float* __restrict p = (const float*)(points.data + first);
-    const float* __restrict q = (const float*)(normals.data + first);
-    float* __restrict s = (float*)(screen.data + first);
-    float R[3][4];
-    for (int r = 0; r < 3; ++r) for (int c = 0; c < 4; ++c) R[r][c] = T.data[r][c];
-    for (int i = 0; i < n; ++i) {
-        const float x = p[3 * i], y = p[3 * i + 1], z = p[3 * i + 2];
-        const float a = q[3 * i], b = q[3 * i + 1], c = q[3 * i + 2];
-        const float X = R[0][0] * x + R[0][1] * y + R[0][2] * z + R[0][3]
-                      + margin * (R[0][0] * a + R[0][1] * b + R[0][2] * c);
-        const float Y = R[1][0] * x + R[1][1] * y + R[1][2] * z + R[1][3]
-                      + margin * (R[1][0] * a + R[1][1] * b + R[1][2] * c);
-        const float Z = R[2][0] * x + R[2][1] * y + R[2][2] * z + R[2][3]
-                      + margin * (R[2][0] * a + R[2][1] * b + R[2][2] * c);
-        const float inverse = Z > near ? 1.0f / Z : -1.0f;
-        s[3 * i] = g.fx * X * inverse + g.cx;
-        s[3 * i + 1] = g.fy * Y * inverse + g.cy;
-        s[3 * i + 2] = inverse;
-    }
-""")
-def project_run(points: wp.array(dtype=wp.vec3), normals: wp.array(dtype=wp.vec3), first: int, n: int, T: wp.mat44,
-                margin: float, near: float, g: Grid, screen: wp.array(dtype=wp.vec3)): ...
-
-
-# Triangles [first, first + n), clipped to the image, one row after another. `key` is the bits of 1/z, which sort like the
-# value itself, with the id in the low four bits: one maximum keeps the nearest surface and its owner, 4 um being lost in
-# depth. Front faces have a negative area, since rows count downwards.
-@wp.func_native(r"""
-    const wp::vec3* S = screen.data;
-    const float right = (float)(g.width - 1), bottom = (float)(g.height - 1);
-    for (int t = first; t < first + n; ++t) {
-        const wp::vec3i k = faces.data[t];
-        const float ax = S[k[0]][0], ay = S[k[0]][1], az = S[k[0]][2], bz = S[k[1]][2], cz = S[k[2]][2];
-        const float bx = S[k[1]][0] - ax, by = S[k[1]][1] - ay, cx = S[k[2]][0] - ax, cy = S[k[2]][1] - ay;
-        const float area = bx * cy - by * cx;
-        if (!(area < 0.0f) || az <= 0.0f || bz <= 0.0f || cz <= 0.0f) continue;
-        float lx = bx < cx ? bx : cx, hx = bx > cx ? bx : cx, ly = by < cy ? by : cy, hy = by > cy ? by : cy;
-        lx = ax + (lx < 0.0f ? lx : 0.0f); hx = ax + (hx > 0.0f ? hx : 0.0f);
-        ly = ay + (ly < 0.0f ? ly : 0.0f); hy = ay + (hy > 0.0f ? hy : 0.0f);
-        if (!(hx >= 0.0f && lx <= right && hy >= 0.0f && ly <= bottom)) continue;
-        const int x0 = lx <= 0.0f ? 0 : (int)(lx + 0.9999f), y0 = ly <= 0.0f ? 0 : (int)(ly + 0.9999f);
-        const int x1 = hx >= right ? g.width - 1 : (int)hx, y1 = hy >= bottom ? g.height - 1 : (int)hy;
-        if (x0 > x1 || y0 > y1) continue;
-        const float inv = 1.0f / area;
-        const float bdx = cy * inv, bdy = -cx * inv, cdx = -by * inv, cdy = bx * inv, zb = bz - az, zc = cz - az;
-        const unsigned id = ids.data[t];
-        for (int y = y0; y <= y1; ++y) {
-            const float dy = (float)y - ay, b0 = bdy * dy, c0 = cdy * dy;
-            unsigned* row = keys.data + y * g.stride;
-#if defined(__CUDA_ARCH__)
-            for (int x = x0; x <= x1; ++x) {
-                const float dx = (float)x - ax, b = bdx * dx + b0, c = cdx * dx + c0;
-                if (b >= -1e-6f && c >= -1e-6f && b + c <= 1.000001f)
-                    atomicMax(row + x, (__float_as_uint(az + b * zb + c * zc) & 0xFFFFFFF0u) | id);
-            }
-#else
-            for (int x = x0; x <= x1; x += 8) {
-                unsigned* __restrict q = row + x;
-                const float dx = (float)x - ax;
-                const int last = x1 - x;
-                #pragma clang loop vectorize(enable) vectorize_width(8) interleave(disable)
-                for (int i = 0; i < 8; ++i) {
-                    const float d = dx + (float)i, b = bdx * d + b0, c = cdx * d + c0, iz = az + b * zb + c * zc;
-                    const unsigned in = (unsigned)(b >= -1e-6f) & (unsigned)(c >= -1e-6f)
-                                      & (unsigned)(b + c <= 1.000001f) & (unsigned)(i <= last);
-                    const unsigned key = in ? (__builtin_bit_cast(unsigned, iz) & 0xFFFFFFF0u) | id : 0u;
-                    const unsigned old = q[i];
-                    q[i] = old > key ? old : key;
-                }
-            }
-#endif
+    for (int r = 0; r < 8; ++r) {
+        unsigned* __restrict k = keys.data + first + r * g.stride;
+        if (background.shape[0] == 0) {
+            for (int i = 0; i < 16; ++i) k[i] = 0u;
+        } else {
+            const unsigned* __restrict b = background.data + first + r * g.stride;
+            for (int i = 0; i < 16; ++i) k[i] = b[i];
         }
     }
 """)
-def draw_triangles(screen: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), ids: wp.array(dtype=wp.uint32),
-                   first: int, n: int, g: Grid, keys: wp.array(dtype=wp.uint32)): ...
+def erase_tile(keys: wp.array(dtype=wp.uint32), background: wp.array(dtype=wp.uint32), first: int, g: Grid): ...
 
 
 # A row of raster keys to depth [m], +inf where nothing is, and id, 255 there.
@@ -105,43 +38,86 @@ def resolve_row(keys: wp.array(dtype=wp.uint32), row: int, g: Grid, depth: wp.ar
                 link: wp.array(dtype=wp.uint8)): ...
 
 
-# The filter of Sec. III-B on `n` <= 64 tiles side by side, row after row: d_f = d_r if d_r < d_v, else +inf. `cover` is the
-# robot's raster, `fixed` the environment's 1/z. Also writes each tile's least and largest depth, (FAR, 0) for none.
+# The filter of Sec. III-B on the tile at (u, v): d_f = d_r if d_r < d_v, else +inf. `frame` holds the address of d_r, rows of
+# g.width; `cover` is the robot's raster, `fixed` the environment's 1/z. A pixel stays only if at least `neighbours` of the
+# eight around it pass as well, within `step` of it in depth. Returns the least and largest depth left, (FAR, 0) for none.
+# Tiles at the image's border take the slow way, pixel by pixel.
 @wp.func_native(r"""
     const float far = 1.0e3f, inf = __builtin_bit_cast(float, 0x7F800000u);
-    int least[64], most[64];
-    for (int k = 0; k < n; ++k) { least[k] = 0x7f7fffff; most[k] = 0; }
-    for (int r = 0; r < 8; ++r) {
-        for (int k = 0; k < n; ++k) {
-            const int o = first + r * g.stride + 16 * k;
-            const float* __restrict d = raw.data + o; const float* __restrict e = fixed.data + o;
-            const unsigned* __restrict c = cover.data + o;
-            float* __restrict f = foreground.data + o;
-            int low = least[k], high = most[k];
+    const int W = g.width;
+    const float* __restrict raw = (const float*)frame.data[0] + (long long)v * W + u;
+    const unsigned* __restrict c = cover.data + v * g.stride + u;
+    const float* __restrict e = fixed.data + v * g.stride + u;
+    float* __restrict f = foreground.data + v * g.stride + u;
+    const bool inside = (u > 0) & (v > 0) & (u + 16 < W) & (v + 8 < g.height);
+    const int columns = u + 16 < W ? 16 : W - u, rows = v + 8 < g.height ? 8 : g.height - v;
+    int least = 0x7f7fffff, most = 0;
+    const auto keep = [&](const float z, const unsigned key, const float behind) {
+        const float robot = __builtin_bit_cast(float, key & 0xFFFFFFF0u), m = robot > behind ? robot : behind;
+        return (z > 0.0f) & (z < far) & (z * m < 1.0f);
+    };
+    const auto close = [&](const float a, const float b) { return (int)((a > 0.0f) & (a - b < step) & (b - a < step)); };
+    if (inside) {
+        for (int r = 0; r < 8; ++r) {
             #pragma clang loop vectorize(enable)
             for (int i = 0; i < 16; ++i) {
-                float z = d[i];
-                z = ((z > 0.0f) & (z < far)) ? z : far;
-                const float robot = __builtin_bit_cast(float, c[i] & 0xFFFFFFF0u), m = robot > e[i] ? robot : e[i];
-                const bool keep = (z * m < 1.0f) & (z < far);
-                const float q = keep ? z : far;
-                const int bits = __builtin_bit_cast(int, q), hit = keep ? bits : 0;
-                f[i] = keep ? z : inf;
-                low = bits < low ? bits : low;
-                high = hit > high ? hit : high;
+                const float z = raw[r * W + i];
+                const bool kept = keep(z, c[r * g.stride + i], e[r * g.stride + i]);
+                const int bits = __builtin_bit_cast(int, z), low = kept ? bits : 0x7f7fffff, high = kept ? bits : 0;
+                f[r * g.stride + i] = kept ? z : inf;
+                least = low < least ? low : least;
+                most = high > most ? high : most;
             }
-            least[k] = low;
-            most[k] = high;
+        }
+        if (most == 0) return wp::vec2(far, 0.0f);
+        if (neighbours > 0) {
+            least = 0x7f7fffff; most = 0;
+            float passed[10 * 18];
+            for (int r = 0; r < 10; ++r) {
+                const float* __restrict p = raw + (r - 1) * W - 1;
+                const int o = (r - 1) * g.stride - 1;
+                #pragma clang loop vectorize(enable)
+                for (int i = 0; i < 18; ++i) passed[r * 18 + i] = keep(p[i], c[o + i], e[o + i]) ? p[i] : 0.0f;
+            }
+            for (int r = 0; r < 8; ++r) {
+                const float* __restrict p = passed + (r + 1) * 18 + 1;
+                #pragma clang loop vectorize(enable)
+                for (int i = 0; i < 16; ++i) {
+                    const float z = f[r * g.stride + i];
+                    const int count = close(p[i - 19], z) + close(p[i - 18], z) + close(p[i - 17], z)
+                                    + close(p[i - 1], z) + close(p[i + 1], z)
+                                    + close(p[i + 17], z) + close(p[i + 18], z) + close(p[i + 19], z);
+                    const bool kept = (z < far) & (count >= neighbours);
+                    const int bits = __builtin_bit_cast(int, z), low = kept ? bits : 0x7f7fffff, high = kept ? bits : 0;
+                    f[r * g.stride + i] = kept ? z : inf;
+                    least = low < least ? low : least;
+                    most = high > most ? high : most;
+                }
+            }
+        }
+    } else {
+        for (int r = 0; r < 8; ++r) for (int i = 0; i < 16; ++i) {
+            const bool seen = (r < rows) & (i < columns);
+            const float z = seen ? raw[r * W + i] : inf;
+            bool kept = seen && keep(z, c[r * g.stride + i], e[r * g.stride + i]);
+            if (kept && neighbours > 0) {
+                int count = -1;  // the pixel itself
+                for (int y = r - 1; y <= r + 1; ++y) for (int x = i - 1; x <= i + 1; ++x)
+                    if (v + y >= 0 && v + y < g.height && u + x >= 0 && u + x < W
+                        && keep(raw[y * W + x], c[y * g.stride + x], e[y * g.stride + x])) count += close(raw[y * W + x], z);
+                kept = count >= neighbours;
+            }
+            const int bits = __builtin_bit_cast(int, z);
+            f[r * g.stride + i] = kept ? z : inf;
+            if (kept && bits < least) least = bits;
+            if (kept && bits > most) most = bits;
         }
     }
-    for (int k = 0; k < n; ++k) {
-        nearest.data[t + k] = __builtin_bit_cast(float, least[k]);
-        farthest.data[t + k] = __builtin_bit_cast(float, most[k]);
-    }
+    return most == 0 ? wp::vec2(far, 0.0f)
+                     : wp::vec2(__builtin_bit_cast(float, least), __builtin_bit_cast(float, most));
 """)
-def filter_tiles(raw: wp.array(dtype=wp.float32), cover: wp.array(dtype=wp.uint32), fixed: wp.array(dtype=wp.float32),
-                 first: int, t: int, n: int, g: Grid, foreground: wp.array(dtype=wp.float32),
-                 nearest: wp.array(dtype=wp.float32), farthest: wp.array(dtype=wp.float32)): ...
+def filter_tile(frame: wp.array(dtype=wp.uint64), cover: wp.array(dtype=wp.uint32), fixed: wp.array(dtype=wp.float32),
+                u: int, v: int, neighbours: int, step: float, g: Grid, foreground: wp.array(dtype=wp.float32)) -> wp.vec2: ...
 
 
 # Least and largest depth of the pixels of a tile whose link is in the bit set `links`; (FAR, 0) without any.
@@ -165,7 +141,8 @@ def robot_range(keys: wp.array(dtype=wp.uint32), first: int, links: wp.uint32, g
 
 
 # Least squared distance from the point (x, y, z) to the pixels of one obstacle tile, each an interval of depths
-# [d, d + thickness]: its point nearest in depth to z counts, in all three components (Sec. III-C, d(O, P)).
+# [d, d + thickness], or to `back` if that is nearer: its point nearest in depth to z counts, in all three components
+# (Sec. III-C, d(O, P)).
 # The minimum is taken over the bits, which vectorises where a float minimum does not; all values are >= 0.
 @wp.func_native(r"""
     int least[16];
@@ -175,9 +152,11 @@ def robot_range(keys: wp.array(dtype=wp.uint32), first: int, links: wp.uint32, g
     for (int r = 0; r < 8; ++r) {
         const float ky = ((float)(v + r) - g.cy) * iy;
         const float* __restrict f = depth.data + (v + r) * g.stride + u;
+        const float* __restrict b = back.data + (v + r) * g.stride + u;
         #pragma clang loop vectorize(enable)
         for (int i = 0; i < 16; ++i) {
-            const float d = f[i] < 1.0e3f ? f[i] : 1.0e3f, back = d + thickness, inner = z < back ? z : back;
+            const float d = f[i] < 1.0e3f ? f[i] : 1.0e3f, most = d + thickness, end = b[i] < most ? b[i] : most;
+            const float inner = z < end ? z : end;
             const float e = d < inner ? inner : d, dx = kx[i] * e - x, dy = ky * e - y, dz = e - z;
             const float s = dx * dx + dy * dy + dz * dz;
             const int bits = __builtin_bit_cast(int, s);
@@ -188,5 +167,41 @@ def robot_range(keys: wp.array(dtype=wp.uint32), first: int, links: wp.uint32, g
     for (int i = 0; i < 16; ++i) m = least[i] < m ? least[i] : m;
     return __builtin_bit_cast(float, m);
 """)
-def tile_distance(depth: wp.array(dtype=wp.float32), u: int, v: int, x: float, y: float, z: float, thickness: float,
-                  g: Grid) -> float: ...
+def tile_distance(depth: wp.array(dtype=wp.float32), back: wp.array(dtype=wp.float32), u: int, v: int, x: float, y: float,
+                  z: float, thickness: float, g: Grid) -> float: ...
+
+
+# The runs of one surface along a line of n pixels, `stride` apart: no two side by side differ by `step` or more in depth.
+# `square` is that of a pixel's length at depth 1. Every pixel gets the product of the run's lengths to either side, each up to
+# `longest` pixels and the half to its border, and the square of their mean where the run is flat between these ends; or what is
+# there, if it is less. After the last direction, it gets how far back the obstacle reaches.
+@wp.func_native(r"""
+    const float* __restrict d = depth.data + first_pixel;
+    float* __restrict b = back.data + first_pixel;
+    float before = __builtin_bit_cast(float, 0x7F800000u);
+    int start = 0;
+    for (int i = 0; i <= n; ++i) {
+        const float z = i < n ? d[i * stride] : __builtin_bit_cast(float, 0x7F800000u);
+        if (z - before < step && before - z < step) { before = z; continue; }
+        if (before < 1.0e3f) {
+            for (int j = start; j < i; ++j) {
+                const int l = j - start < longest ? j - start : longest, r = i - 1 - j < longest ? i - 1 - j : longest;
+                const float old = b[j * stride], depth_here = d[j * stride], width = (float)(l + r + 1);
+                const float sag = 0.5f * (d[(j - l) * stride] + d[(j + r) * stride]) - d[(j + (r - l) / 2) * stride];
+                const bool flat = sag < flatness * sqrtf(square) * width * depth_here;
+                float s = square * (flat ? 0.25f * width * width : ((float)l + 0.5f) * ((float)r + 0.5f));
+                if (!first_direction) s = old < s ? old : s;
+                if (last_direction) {
+                    const float t = 2.0f * sqrtf(s) * depth_here;
+                    s = depth_here + (t < thickness ? t : thickness);
+                }
+                b[j * stride] = s;
+            }
+        }
+        start = i;
+        before = z;
+    }
+""")
+def chord_line(depth: wp.array(dtype=wp.float32), first_pixel: int, stride: int, n: int, square: float, first_direction: int,
+               last_direction: int, longest: int, step: float, flatness: float, thickness: float,
+               back: wp.array(dtype=wp.float32)): ...

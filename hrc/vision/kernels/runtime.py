@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
 from hrc.errors import DeviceError, unknown
 from hrc.vision.kernels.types import MODULE, TILE, Grid, to_image
@@ -51,7 +52,7 @@ def warm(device: str = "cpu") -> None:
     Raises DeviceError if there is no such device.
     """
     # The kernels' modules must be imported, or there is nothing to compile yet.
-    from hrc.vision.kernels import contact, distance, filtering, noise, raster  # noqa: F401
+    from hrc.vision.kernels import clearance, contact, distance, filtering, noise, raster, touches  # noqa: F401
 
     wp.load_module(MODULE, device=check_device(device))
 
@@ -74,6 +75,27 @@ def write(buffer: Any, values: np.ndarray) -> None:
         buffer.assign(values)
 
 
+class Mirror:
+    """A small device buffer and its values in numpy, which on a CPU are the same memory; `buffer` keeps its address."""
+
+    def __init__(self, n: int, dtype: Any, device: str) -> None:
+        self.buffer = zeros(n, dtype, device)
+        self._values, self._same = self.buffer.numpy(), self.buffer.device.is_cpu
+
+    def __len__(self) -> int:
+        return len(self.buffer)
+
+    def write(self, values: ArrayLike) -> None:
+        """Put these values, or one for all, into the buffer."""
+        self._values[...] = values
+        if not self._same:
+            self.buffer.assign(self._values)
+
+    def read(self) -> np.ndarray:
+        """The values there are now: on a CPU a view, valid until they change."""
+        return self._values if self._same else self.buffer.numpy()
+
+
 def write_image(buffer: Any, image: np.ndarray, g: Grid) -> None:
     """Overwrite the image (H, W) in a flat padded buffer in place; the padding is 0 and stays so."""
     if buffer.device.is_cpu:
@@ -92,6 +114,16 @@ def read(buffer: Any) -> np.ndarray:
 def pixels_per_thread(device: str) -> int:
     """How many pixels of a tile a thread takes: all of them on a CPU, where threads run one after another."""
     return TILE if device == "cpu" else 1
+
+
+def tiles_per_thread(g: Grid, device: str) -> int:
+    """How many tiles side by side a thread takes: a row of them on a CPU, so that it skips quickly what is out of a region."""
+    return g.tiles_x if device == "cpu" else 1
+
+
+def everywhere(g: Grid, device: str) -> Any:
+    """The region of all tiles: from (x, y) to before (x, y)."""
+    return upload(np.array([0, 0, g.tiles_x, g.tiles_y]), wp.int32, device)
 
 
 class Graph:

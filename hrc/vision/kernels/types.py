@@ -44,9 +44,13 @@ def _cpu_flags() -> str:
     """Warp's default names the very CPU it compiles on; a fixed level keeps the compiled kernels valid elsewhere."""
     flags = "-mllvm=-inline-threshold=9000 -mllvm=-slp-recursion-max-depth=4"
     cpuinfo = Path("/proc/cpuinfo")
-    if platform.machine() in ("x86_64", "AMD64") and cpuinfo.exists() and " avx2 " in cpuinfo.read_text():
-        flags += " -target-cpu x86-64-v3"
-    return flags
+    if platform.machine() not in ("x86_64", "AMD64") or not cpuinfo.exists():
+        return flags
+    known = set(cpuinfo.read_text().partition("\nflags")[2].partition("\n")[0].split())
+    if {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl", "avx2", "bmi2", "fma"} <= known:
+        # A tile is 16 wide. Without the second flag the compiler would use half of a register.
+        return flags + " -target-cpu x86-64-v4 -mprefer-vector-width=512"
+    return flags + " -target-cpu x86-64-v3" if "avx2" in known else flags
 
 
 MODULE = wp.get_module("hrc_vision")
