@@ -12,6 +12,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 from hrc.errors import HrcError
 
 Settings = Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], arg(name="set", metavar="KEY=VALUE")]
+SettingsFile = Annotated[Path | None, arg(name="settings", metavar="FILE")]
 
 EXTRAS = {"viser": "page", "websockets": "page", "msgspec": "page", "rerun": "record", "pyarrow": "record",
           "matplotlib": "record"}
@@ -22,7 +23,8 @@ commands = tyro.extras.SubcommandApp()
 
 @commands.command
 def serve(scenario: str = "free", host: str = "127.0.0.1", port: int = 8080, device: str = "cpu",
-          settings: Settings = (), seed: int = 0, open_browser: FlagCreatePairsOff[bool] = False) -> None:
+          settings: Settings = (), settings_file: SettingsFile = None, seed: int = 0,
+          open_browser: FlagCreatePairsOff[bool] = False) -> None:
     """Open the cell in the browser: push the arm, drag obstacles into it (the command without a name does this).
 
     Args:
@@ -31,21 +33,23 @@ def serve(scenario: str = "free", host: str = "127.0.0.1", port: int = 8080, dev
         port: Port to listen on.
         device: Compute device of the vision, cpu or cuda:0.
         settings: Parameters to change, as control.f_abort=30.
+        settings_file: TOML file of parameters to change, as calibrate writes it; --set goes over it.
         seed: Seed of all noise.
         open_browser: Open the page in the default browser.
     """
     from app.serve.main import serve as start
-    from app.settings import parse
+    from app.settings import parse, read
 
-    start(scenario, host=host, port=port, device=device, settings=[parse(setting) for setting in _flat(settings)],
-          seed=seed, open_browser=open_browser)
+    changes = [*(read(settings_file) if settings_file else ()), *map(parse, _flat(settings))]
+    start(scenario, host=host, port=port, device=device, settings=changes, seed=seed, open_browser=open_browser)
 
 
 @commands.command
 def run(scenario: Annotated[Positional[str], arg(metavar="SCENARIO")], out: Path, seed: int = 0,
         duration: float | None = None, settings: Settings = (), preset: str = "default", device: str = "cpu",
         depth: Literal["none", "sampled", "full"] = "sampled", overwrite: FlagCreatePairsOff[bool] = False,
-        quiet: FlagCreatePairsOff[bool] = False, no_record: FlagCreatePairsOff[bool] = False) -> None:
+        quiet: FlagCreatePairsOff[bool] = False, no_record: FlagCreatePairsOff[bool] = False,
+        settings_file: SettingsFile = None) -> None:
     """Run a scenario without a screen and write a folder: recording, signals, metrics, figure.
 
     Args:
@@ -61,10 +65,12 @@ def run(scenario: Annotated[Positional[str], arg(metavar="SCENARIO")], out: Path
         overwrite: Replace the folder of an earlier run.
         quiet: Print only the result.
         no_record: Leave session.rrd out.
+        settings_file: TOML file of parameters to change, as calibrate writes it; --set goes over it.
     """
     from app.headless import Job, execute
 
-    job = Job(scenario, out, seed, duration, _flat(settings), preset, device, depth, not no_record, overwrite, quiet)
+    job = Job(scenario, out, seed, duration, _flat(settings), preset, device, depth, not no_record, overwrite, quiet,
+              settings_file)
     figures = execute(job)
     _print_run(figures, out)
     if figures["recording_problem"]:
@@ -108,6 +114,25 @@ def localize(folder: Annotated[Positional[Path], arg(metavar="FOLDER")], out: Pa
     from app.localize import Job, execute
 
     execute(Job(folder, out, _flat(settings), device, overwrite))
+
+
+@commands.command
+def calibrate(out: Path = Path("calibrated.toml"), minutes: float = 20.0, false_alarms_per_hour: float = 0.01, seed: int = 0,
+              preset: str = "default", robots: int = 5, plot: Annotated[Path | None, arg(metavar="FILE")] = None) -> None:
+    """Move freely, and find the sensors' friction and the thresholds of contact for a rate of false alarms.
+
+    Args:
+        out: TOML file to write, for --settings of run and serve.
+        minutes: Simulated minutes of free motion, all robots together.
+        false_alarms_per_hour: How often free motion may be taken for a contact.
+        seed: Seed of the first robot's model error and noise; the others have the next ones.
+        preset: Values to start from.
+        robots: Robots to move, each with another model error; the thresholds hold for all.
+        plot: PNG with the delay of detection against false alarms, for three K_I.
+    """
+    from app.calibrate import Job, execute
+
+    execute(Job(out, minutes, false_alarms_per_hour, seed, preset, robots, plot=plot))
 
 
 @commands.command

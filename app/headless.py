@@ -49,6 +49,7 @@ class Job:
     record: bool = True
     overwrite: bool = False
     quiet: bool = False
+    settings_file: Path | None = None
 
 
 @dataclass
@@ -82,7 +83,7 @@ def execute(job: Job) -> dict[str, Any]:
     """
     clock = _Clock()
     script = scenario.load(job.scenario)
-    config = settings.configured(job.preset, script, job.settings, job.seed)
+    config = settings.configured(job.preset, script, job.settings, job.seed, job.settings_file)
     end = _end(job, script, config.rates.base_hz)
     output.check(job.out, overwrite=job.overwrite)
     check_device(job.device)

@@ -1,9 +1,10 @@
-"""From what a user types to a config: a preset, a scenario's settings, and `key=value` pairs in that order."""
+"""From what a user types to a config: a preset, a scenario's settings, a settings file and `key=value` pairs in that order."""
 
 import math
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from hrc.cell.scenario import Scenario
@@ -30,20 +31,51 @@ def parse(setting: str) -> tuple[str, Any]:
     raise ConfigError(f'malformed value in "{setting}"; a value is a number, true, false, "text" or [a, b, c]')
 
 
+def read(file: Path) -> list[tuple[str, Any]]:
+    """Keys and values of a settings file: TOML, `control.f_abort = 30` or a table [control].
+
+    Raises ConfigError, with the file, for one that cannot be read, an unknown key or a bad value.
+    """
+    try:
+        table = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"the settings file {file} cannot be read: {error}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{file.name}: {error}") from None
+    settings = list(_flat(table).items())
+    try:
+        _changed(Config(), settings)
+    except ConfigError as error:
+        raise ConfigError(f"{file.name}: {error}") from None
+    return settings
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for key, value in table.items():
+        out |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+    return out
+
+
+def _changed(config: Config, settings: Sequence[tuple[str, Any]]) -> Config:
+    for key, value in settings:
+        try:
+            config = replaced(config, key, value)
+        except ConfigError as error:
+            # A refused value names only the field; a refused key is in the message already.
+            raise ConfigError(f"{key}: {error}" if key in keys(config) else str(error)) from None
+    return config
+
+
 def configured(preset: str = "default", scenario: Scenario | None = None, settings: Sequence[str] = (),
-               seed: int | None = None) -> Config:
+               seed: int | None = None, file: Path | None = None) -> Config:
     """The config of a run. Raises ConfigError for an unknown preset, key or a bad value."""
     if preset not in PRESETS:
         raise ConfigError(unknown("preset", preset, PRESETS))
     config = PRESETS[preset]()
     if scenario is not None:
         config = scenario.configured(config)
-    for key, value in map(parse, settings):
-        try:
-            config = replaced(config, key, value)
-        except ConfigError as error:
-            # A refused value names only the field; a refused key is in the message already.
-            raise ConfigError(f"{key}: {error}" if key in keys(config) else str(error)) from None
+    config = _changed(config, [*(read(file) if file else ()), *map(parse, settings)])
     return config if seed is None else replaced(config, "seed", seed)
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from hrc.cell.clock import RatesConfig
 from hrc.contact.estimate import TrackerConfig
 from hrc.contact.force import ForceConfig
+from hrc.contact.friction import FrictionConfig
 from hrc.contact.proprioception import ProprioceptionConfig
 from hrc.contact.residual import ObserverConfig
 from hrc.control.reaction import ReactionConfig
@@ -37,6 +38,7 @@ class Config(Parameters):
     sensor: SensorConfig = field(default_factory=SensorConfig)
     vision: VisionConfig = field(default_factory=VisionConfig)
     observer: ObserverConfig = field(default_factory=ObserverConfig)
+    friction: FrictionConfig = field(default_factory=FrictionConfig)
     proprioception: ProprioceptionConfig = field(default_factory=ProprioceptionConfig)
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
     force: ForceConfig = field(default_factory=ForceConfig)

@@ -175,7 +175,7 @@ class Command:
     """The joint velocity command [rad/s], shape (7,), and what it came from.
 
     x, x_d: end effector and its reference [m] (3,). admittance_error: x_cd - x_c [m] (3,), zero outside ABORT.
-    path_speed: 0 (path frozen) to 1. reason: why the arm stands, when mode is STOP or BLIND.
+    path_speed: 0 (path frozen) to 1. reason: why the arm came to be in this mode.
     """
 
     mode: Mode

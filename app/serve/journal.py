@@ -25,7 +25,8 @@ class Journal:
     def add(self, note: Note) -> None:
         """A line for what happened in the cell."""
         if isinstance(note.subject, Mode):
-            self._append(note.time, "mode", note.subject.value.upper(), (note.subject, note.time))
+            why = f": {note.reason}" if note.reason else ""
+            self._append(note.time, "mode", note.subject.value.upper() + why, (note.subject, note.time))
         elif note.refused:
             name = type(note.subject).__name__
             self._append(note.time, "refused", f"{name} refused: {note.refused}", (name, note.refused))

@@ -15,11 +15,12 @@ PLOT_POINTS = 300
 
 @dataclass(frozen=True)
 class Note:
-    """Something for the log: an event that was applied, one that was refused (with the reason), or a new mode."""
+    """Something for the log: an event that was applied, one that was refused (and why), or a new mode (and why)."""
 
     time: float
     subject: Event | Mode
     refused: str = ""
+    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class Mailbox:
                 self._notes.extend(Note(snapshot.time, event) for event in snapshot.events)
                 self._notes.extend(Note(snapshot.time, event, str(why)) for event, why in snapshot.refused)
                 if mode is not self._mode:
-                    self._notes.append(Note(snapshot.time, mode))
+                    self._notes.append(Note(snapshot.time, mode, reason=snapshot.command.reason))
                     self._mode = mode
         if before is not None and snapshot.tick < before.tick:  # a Reset
             with self._lock:

@@ -10,6 +10,7 @@ from hrc.cell.eyes import Eyes, Sighting
 from hrc.cell.task import plan
 from hrc.config import Config
 from hrc.contact.estimate import ContactTracker
+from hrc.contact.friction import friction
 from hrc.contact.proprioception import ResidualLocalizer, SurfaceSamples
 from hrc.contact.residual import Detector, MomentumObserver
 from hrc.control.reaction import Reaction, Surroundings
@@ -77,6 +78,7 @@ class Cell:
         if state.tick != self.tick:
             self._observer.reset()
             return np.zeros(7)
+        tau = tau - friction(self.config.friction, state.dq)
         return self._observer.update(terms.p, terms.Ct_dq, terms.g, tau, self._dt)
 
     def _sighted(self) -> Sighting:

@@ -160,18 +160,17 @@ class Reaction:
         self._ramp, self._kept = 0.0, 1.0
         self._quiet = 0.0
         self._unseen = self._unfelt = self._wary = 0.0
-        self._reason = ""
+        self._reason = "started"
 
     def stop(self, reason: str) -> None:
         """Come to a stand within the acceleration limit and stay, until resume()."""
         if self.mode is not Mode.STOP:
-            self._reason = reason
-            self._enter(Mode.STOP)
+            self._enter(Mode.STOP, reason)
 
     def resume(self) -> None:
         """End a stop; the path starts again from zero speed."""
         if self.mode is Mode.STOP:
-            self._enter(Mode.IDLE)
+            self._enter(Mode.IDLE, "resumed")
 
     def update(self, q: Array, terms: Terms, residual: Array, detected: bool, contact: Contact | None,
                surroundings: Surroundings = OPEN) -> Command:
@@ -194,8 +193,7 @@ class Reaction:
         else:
             wanted, path_speed = self._follow(q, terms, contact, self._allowed(surroundings))
         self._issue(q, self._blended(wanted))
-        reason = {Mode.STOP: self._reason, Mode.BLIND: surroundings.blindness}.get(self.mode, "")
-        return Command(self.mode, self.dq, terms.x, x_d, error, path_speed, reason)
+        return Command(self.mode, self.dq, terms.x, x_d, error, path_speed, self._reason)
 
     # -- transitions ------------------------------------------------------------------------------------------------
 
@@ -219,33 +217,37 @@ class Reaction:
             e = apply(terms.T_world_link[self._latch.link], self._latch.p_link) - self._latch.x_cd
             recovered = self._quiet >= c.abort_clear and float(np.sqrt(e @ e)) < c.abort_error
             if recovered and surroundings.clearance > c.abort_distance:
-                self._enter(Mode.IDLE)
+                self._enter(Mode.IDLE, f"the contact is gone and made up for to {1e3 * c.abort_error:g} mm")
         elif contact is not None and f > c.f_abort and (contact.seen or contact.radius <= c.abort_radius):
-            self._abort(q, terms, contact)
+            self._abort(q, terms, contact, f)
         elif self.mode is Mode.UNSEEN:
             self._wary = c.wary_time
-            if self._unfelt >= c.unseen_hold or f > c.f_relax:
-                self._enter(Mode.IDLE)
+            if f > c.f_relax:
+                self._enter(Mode.IDLE, "the contact has a place now")
+            elif self._unfelt >= c.unseen_hold:
+                self._enter(Mode.IDLE, f"nothing was felt for {c.unseen_hold:g} s")
         elif self._unseen > (c.unseen_after if self._wary == 0.0 else 0.0):
-            self._enter(Mode.UNSEEN)
+            self._enter(Mode.UNSEEN, "a contact is felt, and nobody knows where")
         elif f > c.f_relax:
-            self.mode = Mode.RELAX  # no blend: it would blend the task, too
+            self._become(Mode.RELAX, f"{f:.1f} N is more than f_relax, {c.f_relax:g} N")
         elif self.mode is Mode.RELAX and self._quiet >= c.relax_hold:
-            self.mode = Mode.IDLE
-        elif self.mode in (Mode.IDLE, Mode.BLIND):  # no blend: the path slows down by itself, and stays the task
-            self.mode = Mode.BLIND if surroundings.blindness else Mode.IDLE
+            self._become(Mode.IDLE, f"at most f_release, {c.f_release:g} N, for {c.relax_hold:g} s")
+        elif self.mode is Mode.IDLE and surroundings.blindness:
+            self._become(Mode.BLIND, surroundings.blindness)
+        elif self.mode is Mode.BLIND and not surroundings.blindness:
+            self._become(Mode.IDLE, "images come again")
 
     def _decide_as_printed(self, q: Array, terms: Terms, contact: Contact | None, f: float) -> None:
         """Eq. (13) without memory: the force now is the mode now."""
         if contact is not None and f > self.config.f_abort:
             if self.mode is not Mode.ABORT:
-                self._abort(q, terms, contact)
+                self._abort(q, terms, contact, f)
         else:
-            self.mode = Mode.RELAX if f > self.config.f_relax else Mode.IDLE
+            self._become(Mode.RELAX if f > self.config.f_relax else Mode.IDLE, f"{f:.1f} N, Eq. (13)")
 
-    def _abort(self, q: Array, terms: Terms, contact: Contact) -> None:
+    def _abort(self, q: Array, terms: Terms, contact: Contact, f: float) -> None:
         self._latch = _Latch(contact.link, contact.p_link, q.copy(), terms.T_world_link.copy())
-        self._enter(Mode.ABORT)
+        self._enter(Mode.ABORT, f"{f:.1f} N is more than f_abort, {self.config.f_abort:g} N")
 
     def _follow_the_contact(self, contact: Contact | None, latch: _Latch) -> None:
         """When the contact has moved to another link, hold to the new point, where it was at the beginning."""
@@ -253,8 +255,13 @@ class Reaction:
             self._latch = _Latch(contact.link, contact.p_link, latch.q_cd, latch.T_cd)
             self._begin_blend()
 
-    def _enter(self, mode: Mode) -> None:
-        self.mode = mode
+    def _become(self, mode: Mode, reason: str) -> None:
+        """Another mode with the same task: no blend, for it would blend the task, too."""
+        if mode is not self.mode:
+            self.mode, self._reason = mode, reason
+
+    def _enter(self, mode: Mode, reason: str) -> None:
+        self.mode, self._reason = mode, reason
         self._ramp = 0.0
         self._quiet = self._unseen = self._unfelt = 0.0
         self._begin_blend()

@@ -1,5 +1,7 @@
 """The state machine on a robot that moves exactly as commanded: what follows what, and what never happens."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -302,3 +304,15 @@ def test_the_path_slows_down_before_an_obstacle_only_if_asked_to():
     assert stood[-1].path_speed == 0.0
     assert errors(stood).max() < 1e-3
     assert arm.run(2.0)[-1].path_speed == 1.0
+
+
+def test_every_change_of_mode_says_why():
+    arm = Arm()
+    arm.run(1.0)
+    seen = [*arm.run(0.5, force=[0.0, 12.0, 0.0]), *arm.run(1.0), *arm.run(0.5, force=[0.0, 40.0, 0.0]), *arm.run(4.0)]
+    changes = [(b.mode, b.reason) for a, b in itertools.pairwise(seen) if a.mode is not b.mode]
+    assert [mode for mode, _ in changes] == [Mode.IDLE, Mode.ABORT, Mode.IDLE]
+    assert seen[0].reason == "12.0 N is more than f_relax, 5 N"
+    assert [reason for _, reason in changes] == [
+        "at most f_release, 3 N, for 0.2 s", "40.0 N is more than f_abort, 25 N",
+        "the contact is gone and made up for to 5 mm"]
