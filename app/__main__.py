@@ -80,17 +80,46 @@ def run(scenario: Annotated[Positional[str], arg(metavar="SCENARIO")], out: Path
 
 
 @commands.command
-def bench(what: Annotated[Positional[Literal["speed", "accuracy"]], arg(metavar="speed|accuracy")] = "speed",
-          json: Annotated[Path | None, arg(metavar="FILE")] = None, device: str = "cpu",
-          quick: FlagCreatePairsOff[bool] = False) -> None:
-    """Measure perception on this machine: its speed beside what one would use instead, or its accuracy.
+def compare(scenario: Annotated[Positional[str], arg(metavar="SCENARIO")], out: Path,
+            presets: tuple[str, ...] = ("default", "literal"), seed: int = 0, duration: float | None = None,
+            settings: Settings = (), overwrite: FlagCreatePairsOff[bool] = False,
+            quiet: FlagCreatePairsOff[bool] = False) -> None:
+    """Run a scenario with several presets, and show them side by side in one figure and one table.
 
     Args:
-        what: speed, on one core; or accuracy, of the contact point and of the filter.
-        json: File for all figures with their conditions.
-        device: Measured beside the CPU (speed), or used (accuracy): cpu or cuda:0.
-        quick: Few frames, to see that it works.
+        scenario: Name of a scenario, or a TOML file.
+        out: Folder to write; it must not exist.
+        presets: Two or more presets; literal is the paper's laws to the letter.
+        seed: Seed of all noise.
+        duration: Simulated seconds to run; the scenario's own by default.
+        settings: Parameters to change in all of them, as control.f_abort=30.
+        overwrite: Replace the folder of an earlier comparison.
+        quiet: Print only the table.
     """
+    from app.compare import Job, execute
+
+    execute(Job(scenario, out, presets, seed, duration, _flat(settings), overwrite, quiet))
+
+
+@commands.command
+def bench(what: Annotated[Positional[Literal["speed", "accuracy", "contact"]], arg(metavar="speed|accuracy|contact")] = "speed",
+          json: Annotated[Path | None, arg(metavar="FILE")] = None, device: str = "cpu",
+          quick: FlagCreatePairsOff[bool] = False, hours: float = 0.0, settings_file: SettingsFile = None) -> None:
+    """Measure on this machine: the speed of perception beside what one would use instead, its accuracy, or what is felt.
+
+    Args:
+        what: speed, on one core; accuracy, of the contact point and of the filter; or contact: force, delay, false alarms.
+        json: File for all figures with their conditions.
+        device: Measured beside the CPU (speed), or used (accuracy, contact): cpu or cuda:0.
+        quick: Few frames or pushes, to see that it works.
+        hours: Of free motion with calibrated thresholds (contact); calibrated first if there is no settings file.
+        settings_file: TOML file that calibrate wrote (contact).
+    """
+    if what == "contact":
+        from app.bench.contact import bench as push
+
+        push(device=device, json=json, quick=quick, hours=hours, settings=settings_file)
+        return
     if what == "accuracy":
         from app.bench.accuracy import bench as measure
     else:

@@ -1,5 +1,6 @@
 """`elbowroom calibrate`: friction and thresholds from free motion of the simulated cell, and what they cost in delay."""
 
+import itertools
 import os
 import sys
 import tempfile
@@ -50,6 +51,7 @@ class Job:
     robots: int = 5
     pushes: int = 100
     plot: Path | None = None
+    motions: tuple[tuple[str, float], ...] = MOTIONS
 
 
 def execute(job: Job) -> dict[str, Any]:
@@ -59,8 +61,7 @@ def execute(job: Job) -> dict[str, Any]:
     """
     base = configured(job.preset, seed=job.seed)
     _check(job)
-    seconds = 60.0 * job.minutes / (len(MOTIONS) * job.robots)
-    logs = list(_free_motion(base, job.robots, seconds))
+    logs = list(_free_motion(base, job))
     k_i = base.observer.k_i
     friction = fit_friction(logs, k_i)
     r_low = tuple(round(float(x), 3) for x in fit_alarms(logs, k_i, friction).thresholds(job.false_alarms_per_hour))
@@ -80,7 +81,7 @@ def execute(job: Job) -> dict[str, Any]:
 def _check(job: Job) -> None:
     if not 1 <= job.robots <= 100:
         raise HrcError(f"the number of robots must be 1 to 100, not {job.robots}")
-    least = len(MOTIONS) * job.robots * 12.0 / 60.0
+    least = len(job.motions) * job.robots * 12.0 / 60.0
     if not least <= job.minutes <= 600.0:
         raise HrcError(f"the minutes must be {least:g} (12 s for each motion of {job.robots} robots) to 600, "
                        f"not {job.minutes:g}")
@@ -101,17 +102,17 @@ def quiet(config: Config, **changes: Any) -> Config:
     return config
 
 
-def _free_motion(base: Config, robots: int, seconds: float) -> Iterator[Log]:
+def _free_motion(base: Config, job: Job) -> Iterator[Log]:
     """A log of each motion with each robot: the seed draws a robot's model error and its noise."""
     from tqdm import tqdm
 
+    every = list(itertools.product(range(job.robots), job.motions))
     with tempfile.TemporaryDirectory() as folder:
         sweep = Path(folder) / "sweep.txt"
         sweep.write_text(SWEEP)
-        for i in tqdm(range(robots * len(MOTIONS)), desc="free motion", disable=not sys.stderr.isatty()):
-            robot, (kind, speed) = i // len(MOTIONS), MOTIONS[i % len(MOTIONS)]
+        for robot, (kind, speed) in tqdm(every, desc="free motion", disable=not sys.stderr.isatty()):
             config = quiet(base, seed=base.seed + robot, task__kind=kind, task__speed=speed, task__waypoints=str(sweep))
-            yield record(Cell(config), seconds, robot)
+            yield record(Cell(config), 60.0 * job.minutes / len(every), robot)
 
 
 def record(cell: Cell, seconds: float, robot: int = 0) -> Log:

@@ -1,5 +1,6 @@
 """The figures of a run, computed from its signals alone: so a table read back gives the same ones."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ FIRM = 8.0
 """True contact force [N] above which localisation and force estimate are judged."""
 SETTLING = 2.0
 """Time after an ABORT [s] that does not count for the end effector's error: the arm is coming back to its path."""
+GLIMPSE, RISE = 0.05, 0.5
+"""Visits to a mode [s] that are no part of the story: any so short, and RELAX so short on the way to ABORT."""
 ALWAYS_FINITE = ("q", "dq", "dq_command", "tau", "residual", "ee", "ee_desired", "force_true", "admittance_error")
 FINITE_IN_CONTACT = ("force_est", "contact_point_est", "contact_power", "contact_radius", "sigma_min")
 
@@ -23,6 +26,7 @@ def compute(columns: Columns) -> dict[str, Any]:
     spans = states(columns)
     return {
         "states": spans,
+        "story": [mode for _, _, mode in story(spans)],
         "aborts": [start for start, _, mode in spans if mode == Mode.ABORT],
         "ee_error": {mode.value: _ee_error(columns, mode) for mode in (Mode.IDLE, Mode.RELAX)},
         "localisation": _localisation(columns),
@@ -30,6 +34,8 @@ def compute(columns: Columns) -> dict[str, Any]:
         "contact_power_min_relax_W": _least(columns["contact_power"][columns["state"] == Mode.RELAX]),
         "clearance_min_m": _least(np.stack([columns[f"clearance_{link}"] for link in range(1, 8)])),
         "force_true_max_N": _largest(np.linalg.norm(columns["force_true"], axis=1)),
+        "ddq_command_max": _ddq(columns, "dq_command"),
+        "ddq_measured_max": _ddq(columns, "dq"),
         "ticks_by_state": {mode.value: int((columns["state"] == mode).sum()) for mode in Mode},
         "everything_finite": _finite(columns),
         "signals_sha256": digest(columns),
@@ -44,6 +50,20 @@ def states(columns: Columns) -> list[list[Any]]:
     starts = np.flatnonzero(np.r_[True, mode[1:] != mode[:-1]])
     ends = np.r_[t[starts[1:]], t[-1]]
     return [[float(t[i]), float(end), str(mode[i])] for i, end in zip(starts, ends, strict=True)]
+
+
+def story(spans: Sequence[Sequence[Any]]) -> list[list[Any]]:
+    """The spans that matter: without those of up to `GLIMPSE`, and without a RELAX of up to `RISE` on the way to an ABORT."""
+    kept: list[list[Any]] = []
+    for i, (start, end, mode) in enumerate(spans):
+        rising = mode == Mode.RELAX and end - start < RISE and i + 1 < len(spans) and spans[i + 1][2] == Mode.ABORT
+        if end - start <= GLIMPSE or rising:
+            continue
+        if kept and kept[-1][2] == mode:
+            kept[-1][1] = end
+        else:
+            kept.append([start, end, mode])
+    return kept
 
 
 def settled(columns: Columns) -> Mask:
@@ -94,6 +114,13 @@ def _forces(columns: Columns, judged: Mask) -> dict[str, Any]:
     error = np.linalg.norm(estimate - truth, axis=1)
     return {"ticks": int(judged.sum()), "median_error_N": _median(error),
             "median_relative_error": _median(error / np.linalg.norm(truth, axis=1))}
+
+
+def _ddq(columns: Columns, name: str) -> float | None:
+    """The largest joint acceleration [rad/s2], from one control tick to the next."""
+    if columns["t"].size < 2:
+        return None
+    return float((np.abs(np.diff(columns[name], axis=0)).max(axis=1) / np.diff(columns["t"])).max())
 
 
 def _finite(columns: Columns) -> bool:

@@ -7,8 +7,10 @@ from hrc.cell.clock import RatesConfig
 from hrc.contact.estimate import TrackerConfig
 from hrc.contact.force import ForceConfig
 from hrc.contact.friction import FrictionConfig
+from hrc.contact.pair import PairConfig
 from hrc.contact.proprioception import ProprioceptionConfig
 from hrc.contact.residual import ObserverConfig
+from hrc.contact.zero import ZeroConfig
 from hrc.control.reaction import ReactionConfig
 from hrc.control.reference import TaskConfig
 from hrc.model import ModelConfig
@@ -38,9 +40,11 @@ class Config(Parameters):
     sensor: SensorConfig = field(default_factory=SensorConfig)
     vision: VisionConfig = field(default_factory=VisionConfig)
     observer: ObserverConfig = field(default_factory=ObserverConfig)
+    zero: ZeroConfig = field(default_factory=ZeroConfig)
     friction: FrictionConfig = field(default_factory=FrictionConfig)
     proprioception: ProprioceptionConfig = field(default_factory=ProprioceptionConfig)
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
+    pair: PairConfig = field(default_factory=PairConfig)
     force: ForceConfig = field(default_factory=ForceConfig)
     task: TaskConfig = field(default_factory=TaskConfig)
     control: ReactionConfig = field(default_factory=ReactionConfig)

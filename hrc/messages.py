@@ -35,7 +35,7 @@ def frozen(values: ArrayLike, shape: tuple[int, ...], name: str = "array") -> Ar
     if array.shape != shape:
         raise SensorError(f"{name} must have shape {shape}, not {array.shape}")
     # A sum is NaN or inf when any entry is, at a third of the cost of isfinite().all() on seven numbers.
-    if not np.isfinite(array.sum()):
+    if not math.isfinite(array.sum()):
         raise SensorError(f"{name} holds a value that is not finite: {array.tolist()}")
     array.flags.writeable = False
     return array
@@ -153,6 +153,8 @@ class Contact:
     F_gate: length of a force [N] in this direction below which Eq. (4) would no longer detect it.
     seen: whether a camera sees an obstacle there; else the place is known from the joints alone. radius [m]: around p_world,
     holds the contact with 90 %.
+    F_covariance: of the error of F_world [N^2] (3, 3), from the residual's noise, the point's uncertainty, and what no joint
+    feels, for a force that changes slowly against 1 / K_I; None where nobody has asked.
     """
 
     link: int
@@ -165,9 +167,12 @@ class Contact:
     F_gate: float = 0.0
     seen: bool = True
     radius: float = 0.0
+    F_covariance: Array | None = None
 
     def __post_init__(self) -> None:
         read_only(self.p_world, self.p_link, self.J_c, self.F_world, self.unobservable)
+        if self.F_covariance is not None:
+            read_only(self.F_covariance)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -232,6 +237,7 @@ class Snapshot:
     where an obstacle is as near as in a contact; clearances: one for each link with an obstacle within the monitored range.
     T_world_link [m]: poses of base and links (8, 4, 4), as measured at the last control tick.
     residual: r of Eq. (2) [N m] (7,).
+    contact: the one that the reaction acts at; contacts: all with a known place, that one first.
     detected: Eq. (4) with hysteresis. events: those applied before this tick; refused: (event, reason).
     """
 
@@ -255,6 +261,7 @@ class Snapshot:
     """The grabbed point and the point it is pulled to [m], in the world, while somebody pulls."""
     touches: tuple[Nearest, ...] = ()
     clearances: tuple[Clearance, ...] = ()
+    contacts: tuple[Contact, ...] = ()
 
     def __post_init__(self) -> None:
         read_only(self.T_world_link, self.residual)

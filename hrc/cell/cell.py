@@ -12,7 +12,8 @@ from hrc.config import Config
 from hrc.contact.estimate import ContactTracker
 from hrc.contact.friction import friction
 from hrc.contact.proprioception import ResidualLocalizer, SurfaceSamples
-from hrc.contact.residual import Detector, MomentumObserver
+from hrc.contact.residual import Acceleration, Detector, MomentumObserver
+from hrc.contact.zero import ResidualZero
 from hrc.control.reaction import Reaction, Surroundings
 from hrc.control.reference import PathFollower
 from hrc.errors import ConfigError, SensorError
@@ -64,10 +65,13 @@ class Cell:
         """One control cycle: the whole paper in six lines."""
         terms = self._terms = self._dynamics.terms(state.q, state.dq)
         self.residual = self._observe(state, terms)  # (2)
-        self.detected = self._detector.update(self.residual)  # (4)
+        self.detected = self._detector.update(
+            self.residual, self._acceleration.update(self.command.dq, self.config.observer.k_i))  # (4)
         seen = self.seen = self._sighted()  # (8)-(9)
         self.contact = self._tracker.update(  # (5), (10)
-            self.residual, self._detector, seen.nearest, terms, keep=self._reaction.mode is Mode.ABORT)
+            self.residual, self._detector, seen.nearest, terms, keep=self._reaction.mode is Mode.ABORT,
+            touches=seen.touches)
+        self.contacts = self._tracker.contacts
         self.command = self._reaction.update(  # (11)-(15)
             state.q, terms, self.residual, self.detected, self.contact,
             Surroundings(seen.clearance, self._eyes.blindness(self.tick)))
@@ -79,7 +83,10 @@ class Cell:
             self._observer.reset()
             return np.zeros(7)
         tau = tau - friction(self.config.friction, state.dq)
-        return self._observer.update(terms.p, terms.Ct_dq, terms.g, tau, self._dt)
+        r = self._observer.update(terms.p, terms.Ct_dq, terms.g, tau, self._dt)
+        sees = not self._eyes.blindness(self.tick)
+        return self._zero.update(r, state.dq, np.asarray(self.config.observer.r_low),
+                                 clearance=self.seen.clearance if sees else 0.0, detected=self.detected)
 
     def _sighted(self) -> Sighting:
         """The latest localization, without what its images are too old to say about now."""
@@ -131,6 +138,7 @@ class Cell:
         self._observer.config = self._detector.config = config.observer
         self._tracker.config, self._tracker.force = config.tracker, config.force
         self._tracker.localizer.config = config.proprioception
+        self._tracker.finder.config, self._zero.config = config.pair, config.zero
         self._reaction.config = config.control
         self._reaction.path.speed = config.task.speed
         self._robot.grip.config, self._robot.obstacles.config = config.push, config.obstacle
@@ -165,10 +173,12 @@ class Cell:
 
         self._dt = 1.0 / rates.control_hz
         self._observer, self._detector = MomentumObserver(config.observer), Detector(config.observer)
+        self._acceleration = Acceleration(self._dt)
+        self._zero = ResidualZero(config.zero, self._dt)
         if not hasattr(self, "_surface"):
             self._surface = SurfaceSamples(config.proprioception.samples, self._dynamics.kinematics(task.q_d)[0])
         localizer = ResidualLocalizer(config.proprioception, self._surface)
-        self._tracker = ContactTracker(config.tracker, config.force, localizer, self._dt)
+        self._tracker = ContactTracker(config.tracker, config.force, localizer, self._dt, config.pair)
         self._reaction = Reaction(config.control, path, task.q_d, (limits.q_min, limits.q_max, limits.dq_max), self._dt,
                                   task.R_d)
 
@@ -182,6 +192,7 @@ class Cell:
         self._tau_sum = np.zeros(7)
         self.seen, self.views = Sighting(), self._eyes.views(0)
         self.contact: Contact | None = None
+        self.contacts: tuple[Contact, ...] = ()
         self.residual, self.detected = np.zeros(7), False
         self.truth, self.bodies = self._robot.truth(), self._robot.bodies()
         self.command = Command(Mode.IDLE, np.zeros(7), self._terms.x, path.x_d, np.zeros(3))
@@ -207,6 +218,6 @@ class Cell:
             tick=self.tick, time=self.tick / self.config.rates.base_hz, state=state, command=self.command,
             T_world_link=self._terms.T_world_link, residual=self.residual, detected=self.detected,
             contact=self.contact, nearest=seen.nearest[0] if seen.nearest else None, touches=seen.touches,
-            clearances=seen.clearances, views=self.views, truth=self.truth, bodies=self.bodies,
+            clearances=seen.clearances, contacts=self.contacts, views=self.views, truth=self.truth, bodies=self.bodies,
             events=events, refused=refused, fresh_control=fresh_control, fresh_frame=fresh_frame,
             pull=self._robot.grip.pull)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hrc.contact.force import ForceConfig, estimate_force
+from hrc.contact.force import Doubt, ForceConfig, estimate_force, force_covariance, place_covariance
+from hrc.contact.pair import Pair, PairConfig, PairFinder
 from hrc.contact.proprioception import Guess, ResidualLocalizer
 from hrc.contact.residual import Detector
 from hrc.geometry import apply
@@ -15,6 +16,8 @@ from hrc.messages import Contact, Nearest
 from hrc.parameters import Parameters, param
 
 Array = NDArray[np.float64]
+MAIN = 2.0
+"""Of two contacts the other becomes the main one when its force is so many times as strong."""
 
 
 @dataclass(frozen=True)
@@ -50,25 +53,34 @@ class _Point:
 class ContactTracker:
     """Gives a contact that is felt its place, by residual and vision together, keeps it on its link, estimates the force."""
 
-    def __init__(self, config: TrackerConfig, force: ForceConfig, localizer: ResidualLocalizer, dt: float) -> None:
+    def __init__(self, config: TrackerConfig, force: ForceConfig, localizer: ResidualLocalizer, dt: float,
+                 pair: PairConfig | None = None) -> None:
         self.config = config
         self.force = force
         self.localizer = localizer
+        self.finder = PairFinder(pair or PairConfig(), localizer.samples, dt)
         self._dt = dt
         self.reset()
 
     def reset(self) -> None:
         """Forget the contact."""
         self.localizer.reset()
+        self.finder.reset()
+        self.contacts: tuple[Contact, ...] = ()
+        """All contacts with a known place, as of the last update, the main one first: one, or two at a time."""
+        self.doubt = Doubt.NONE
+        """Of two contacts: why the joints alone do not tell the one force from the other."""
         self._point: _Point | None = None
         self._guess: Guess | None = None
         self._felt = self._lost = self._other = 0.0
 
-    def update(self, r: Array, detector: Detector, seen: Sequence[Nearest], terms: Terms, *, keep: bool) -> Contact | None:
-        """The contact now, or None when nothing is detected or its place is not known.
+    def update(self, r: Array, detector: Detector, seen: Sequence[Nearest], terms: Terms, *, keep: bool,
+               touches: Sequence[Nearest] = ()) -> Contact | None:
+        """The contact now, or None when nothing is detected or its place is not known; of two, the stronger one.
 
         r: residual [N m] (7,); detector: what Eq. (4) says of it. seen: the latest localization, a point for each link near
         an obstacle. keep: hold on to a place that is lost, however long, because the controller still acts at it.
+        touches: separate places where vision sees an obstacle touch.
         """
         if not detector.detected:
             self.reset()
@@ -77,14 +89,40 @@ class ContactTracker:
         guess = self.localizer.update(r, terms, self._dt, near)
         self._felt += self._dt
         self._follow(guess if guess is not None and self._trusted(guess) else None, keep=keep)
+        pair = self.finder.update(r, touches, terms, self.force, self.localizer.config)
+        if pair is not None:
+            self.contacts, self.doubt = self._both(pair, terms, detector.margin), pair.doubt
+        else:
+            self.contacts, self.doubt = self._single(r, terms, detector.margin), Doubt.NONE
+        return self.contacts[0] if self.contacts else None
+
+    def _single(self, r: Array, terms: Terms, margin: float) -> tuple[Contact, ...]:
         if self._point is None or self._guess is None:
-            return None
+            return ()
         link, p_link = self._point.link, self._point.p_link
         p_world = apply(terms.T_world_link[link], p_link)
         J_c = terms.J_contact(link, p_world)  # Eq. (10)
-        F, sigma_min, unobservable = estimate_force(J_c, r, self.force)  # Eq. (5)
-        gate = float(np.sqrt(F @ F)) / max(detector.margin, 1.0)
-        return Contact(link, p_world, p_link, J_c, F, sigma_min, unobservable, gate, self._guess.seen, self._guess.radius)
+        F, sigma_min, unobservable, inverse = estimate_force(J_c, r, self.force)  # Eq. (5)
+        strength, known = float(np.sqrt(F @ F)), self.localizer.config
+        spread = (self._guess.radius / known.deviations) ** 2 * np.eye(3)
+        R = np.diag(np.square(known.sigma)) + place_covariance(terms.J_link(link)[3:], F, spread)
+        covariance = force_covariance(inverse, J_c, R, max(known.f_typical, strength) ** 2 * np.eye(3))
+        return (Contact(link, p_world, p_link, J_c, F, sigma_min, unobservable, strength / max(margin, 1.0), self._guess.seen,
+                        self._guess.radius, covariance),)
+
+    def _both(self, pair: Pair, terms: Terms, margin: float) -> tuple[Contact, ...]:
+        found = []
+        for i, place in enumerate(pair.places):
+            p_world = apply(terms.T_world_link[place.link], place.p_link)
+            J_c = terms.J_contact(place.link, p_world)
+            U, S, _ = np.linalg.svd(J_c, full_matrices=False)
+            F, at = pair.F[i], slice(3 * i, 3 * i + 3)
+            found.append(Contact(
+                place.link, p_world, place.p_link, J_c, F, float(S[-1]), U[:, -1], float(np.sqrt(F @ F)) / max(margin, 1.0),
+                True, place.deviation * self.localizer.config.deviations, pair.covariance[at, at].copy()))
+        # The one that was the main contact stays it unless the other is clearly stronger.
+        main = self.contacts[0].link if self.contacts else 0
+        return tuple(sorted(found, key=lambda c: -float(np.sqrt(c.F_world @ c.F_world)) * (MAIN if c.link == main else 1.0)))
 
     def _trusted(self, guess: Guess) -> bool:
         c = self.config

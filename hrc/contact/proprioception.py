@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 from hrc import meshes
 from hrc.geometry import apply
@@ -68,6 +69,11 @@ class ProprioceptionConfig(Parameters):
     """How likely a contact is where vision sees no obstacle, against right where it sees one."""
     content: float = param(0.9, low=0.1, high=0.999)
     """The radius of a guess is so large that the contact is within it with this probability."""
+
+    @property
+    def deviations(self) -> float:
+        """How many standard deviations of a point's position in each direction make the radius that holds it."""
+        return math.sqrt(2.0 * float(gammaincinv(1.5, self.content)))
 
 
 @dataclass(frozen=True, eq=False)

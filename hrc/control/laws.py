@@ -80,6 +80,16 @@ def not_into_the_push(task: Array, null: Array, J_c: Array, P: Array, F: Array) 
     return null - w * (share * power / float(w @ w))
 
 
+def share_of_the_path(path: Array, rest: Array, J_c: Array, F: Array) -> float:
+    """The largest part 0..1 of the joint velocity `path` with F . J_c (rest + part path) >= 0; 0 where none is.
+
+    What the null space cannot give back, the path must not take: it waits instead of moving the contact point into a push.
+    """
+    along = J_c.T @ F
+    taken, left = -float(along @ path), float(along @ rest)
+    return 1.0 if taken <= max(left, 0.0) else max(left, 0.0) / taken
+
+
 def relax_velocity_printed(J_c: Array, F: Array, k_f: float) -> Array:
     """J_c# K_f F as printed in Eq. (12) [rad/s] (7,), before the projection by P."""
     return inverse(J_c, EPSILON_C).pinv @ (k_f * F)

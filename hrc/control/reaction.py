@@ -27,6 +27,8 @@ PAPER_T_C = 0.005
 """T_c of the paper [s], for which lambda is given."""
 W_RECONNECT = 0.5
 """The tool turns back to its orientation no faster than this [rad/s]."""
+WAIT_TIME = 0.05
+"""The path comes to a stand before a push in this time [s]: 4 m/s2 at 0.2 m/s, which every joint can follow."""
 ZERO3, ZERO7 = np.zeros(3), np.zeros(7)
 ZERO3.flags.writeable = ZERO7.flags.writeable = False
 
@@ -67,7 +69,7 @@ class ReactionConfig(Parameters):
     """The end effector returns to its path no faster than this."""
     ddq_max: float = param(25.0, low=1.0, high=2000.0, unit="rad/s2")
     """Limit of the commanded joint acceleration."""
-    k_reflex: float = param(0.02, low=0.0, high=0.2, unit="rad/s/(N m)")
+    k_reflex: float = param(0.04, low=0.0, high=0.2, unit="rad/s/(N m)")
     """Joint-space reflex dq = k r to a contact whose place is not known (an extension of the paper)."""
     relax_hold: float = param(0.2, low=0.0, high=5.0, unit="s")
     """RELAX ends when the force has been below f_release for this long."""
@@ -90,6 +92,9 @@ class ReactionConfig(Parameters):
     """For how long after such a contact the arm moves like that, and the reflex answers a next one at once."""
     resume_time: float = param(0.5, low=0.01, high=10.0, unit="s")
     """The path speed rises from 0 to 1 over this time when the task is resumed, and falls so without a camera."""
+    path_waits: bool = param(True)
+    """In RELAX the path slows down, to a stand if need be, where it would move the contact point into the push and the null
+    space cannot take that back (an extension of the paper)."""
     separation: bool = param(False)
     """Slow the path down while an obstacle is near, before any contact (an extension of the paper)."""
     slow_from: float = param(0.3, low=0.05, high=1.0, unit="m")
@@ -157,7 +162,7 @@ class Reaction:
         self._q_d, self._bounds, self._dt, self._R_d = q_d, bounds, dt, R_d
         self._latch: _Latch | None = None
         self._blend, self._blend_end, self._dq_switch = 0, 0, ZERO7
-        self._ramp, self._kept = 0.0, 1.0
+        self._ramp, self._kept, self._free = 0.0, 1.0, 1.0
         self._quiet = 0.0
         self._unseen = self._unfelt = self._wary = 0.0
         self._reason = "started"
@@ -267,7 +272,9 @@ class Reaction:
         self._begin_blend()
 
     def _begin_blend(self) -> None:
-        self._blend, self._blend_end, self._dq_switch = 0, self.config.n_s, self.dq
+        # A reflex is none if it takes its time: there the acceleration limit alone makes the transition smooth.
+        cycles = 0 if self.mode is Mode.UNSEEN else self.config.n_s
+        self._blend, self._blend_end, self._dq_switch = 0, cycles, self.dq
 
     # -- velocities -------------------------------------------------------------------------------------------------
 
@@ -286,7 +293,7 @@ class Reaction:
         target, step = 0.0 if self.mode is Mode.BLIND else allowed, self._dt / c.resume_time
         self._ramp = min(max(target, self._ramp - step), self._ramp + step)
         near = float(np.clip(1.5 - np.sqrt(e @ e) / 0.02, 0.0, 1.0))
-        path_speed = self._ramp * near * max(0.05, self._kept)
+        path_speed = self._ramp * self._free * near * max(0.05, self._kept)
         v_reconnect = c.v_reconnect if self._wary == 0.0 else min(c.v_wary, c.v_reconnect)
         v = laws.task_velocity(self.path.advance(path_speed, self._dt), e, c.k_p, v_reconnect)
         if self._R_d is None:
@@ -302,7 +309,21 @@ class Reaction:
         null = laws.with_forgetting(null, J.projector, self.dq, self._lam, unit_gain=c.law == "latched")  # (15)
         if self.mode is Mode.RELAX and contact is not None and c.relax_form == "yielding":
             null = laws.not_into_the_push(task, null, contact.J_c, J.projector, contact.F_world)
+        self._make_way(J.pinv[:, :3], task + null, path_speed, contact)
         return _Velocity(task, null), path_speed
+
+    def _make_way(self, J_pinv: Array, dq: Array, path_speed: float, contact: Contact | None) -> None:
+        """Find the part of the path's speed that does not move the contact point into a push, for the next period.
+
+        J_pinv (7, 3): from the end effector's velocity. dq: the command now, the path at `path_speed` in it.
+        """
+        c, free = self.config, 1.0
+        if c.path_waits and self._unseen > 0.0:
+            free = 0.0
+        elif c.path_waits and self.mode is Mode.RELAX and contact is not None and c.relax_form == "yielding":
+            path = J_pinv @ self.path.ahead(self._dt)
+            free = laws.share_of_the_path(path, dq - path_speed * path, contact.J_c, contact.F_world)
+        self._free = min(max(free, self._free - self._dt / WAIT_TIME), self._free + self._dt / c.resume_time)
 
     def _yielding(self, P: Array, contact: Contact, null: Array) -> Array:
         c = self.config

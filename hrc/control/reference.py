@@ -64,6 +64,10 @@ class PathFollower:
         """The reference now [m] (3,)."""
         return self.path.at(self.s)
 
+    def ahead(self, dt: float) -> Array:
+        """dx_d over the next dt [s] at the task's full speed [m/s] (3,); the reference stays where it is."""
+        return (self.path.at(self.s + self.speed * dt) - self.x_d) / dt
+
     def advance(self, path_speed: float, dt: float) -> Array:
         """Move on by `path_speed` (0..1) times the task's speed for dt [s]; returns dx_d over that time [m/s] (3,)."""
         before = self.x_d

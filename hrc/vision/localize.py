@@ -76,6 +76,7 @@ class Localizer:
         finds. filter_detail: of the meshes that remove the robot, see `meshes.robot`."""
         self.name = name
         self.camera, self._environment, self._rays = camera, environment, camera.rays()
+        self._R, self._eye = camera.T_world_camera[:3, :3], camera.T_world_camera[:3, 3]
         self._device = kernels.check_device(device)
         self._surface = Renderer(camera, meshes.robot("perception"), device)
         self._expanded = Renderer(camera, meshes.robot(filter_detail), device)
@@ -234,15 +235,13 @@ class Localizer:
         self._covered = True
 
     def _nearest(self, tick: int, stamp: int, found: Sequence[kernels.Found], T_world_link: Array) -> tuple[Nearest, ...]:
-        if not found:
-            return ()
-        T = T_world_link[[f.link for f in found]]
-        rays, depth = self._rays[[f.v for f in found], [f.u for f in found]], np.array([f.depth for f in found])
-        p_world = apply(self.camera.T_world_camera, rays * depth[:, None])  # Eq. (9)
-        p_link = ((p_world - T[:, :3, 3])[:, None] @ T[:, :3, :3])[:, 0]  # by the inverses of T
+        return tuple(self._at(tick, stamp, f, T_world_link[f.link]) for f in found)
+
+    def _at(self, tick: int, stamp: int, f: kernels.Found, T_world_link: Array) -> Nearest:
+        p_world = self._R @ (self._rays[f.v, f.u] * f.depth) + self._eye  # Eq. (9)
+        p_link = (p_world - T_world_link[:3, 3]) @ T_world_link[:3, :3]  # by the inverse of T
         read_only(p_world, p_link)
-        return tuple(Nearest(tick, stamp, f.link, on_world, on_link, f.distance, (f.u, f.v), self.name, f.sure)
-                     for f, on_world, on_link in zip(found, p_world, p_link, strict=True))
+        return Nearest(tick, stamp, f.link, p_world, p_link, f.distance, (f.u, f.v), self.name, f.sure)
 
     def _doubted(self, nearest: tuple[Nearest, ...]) -> tuple[Nearest, ...]:
         """Of two links that are equally near at different places one may be the link in contact, the other not: neither is

@@ -13,7 +13,7 @@ from hrc.errors import ConfigError, HrcError
 
 def test_a_calibration_takes_friction_away_and_its_file_is_read_again(tmp_path, capsys):
     out = tmp_path / "mine.toml"
-    figures = execute(Job(out, minutes=1.2, robots=1, preset="realistic"))
+    figures = execute(Job(out, minutes=0.5, robots=1, preset="realistic", motions=(("hexagon", 0.2), ("waypoints", 0.1))))
     assert sum(figures["rms_after"]) < 0.8 * sum(figures["rms_before"])
     assert "r_low" in capsys.readouterr().out
     assert [path.name for path in tmp_path.iterdir()] == ["mine.toml"]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from app.headless import Job, execute
+from app.metrics import story
 from app.record.signals import read_parquet
 from hrc.cell.cell import Cell
 from hrc.cell.pace import FreeRun
@@ -23,18 +24,34 @@ def paper(tmp_path_factory):
 
 
 def test_the_states_follow_as_in_the_paper(paper):
-    """Fig. 5, bottom: a relaxation from about 2.6 s, four aborts, idle after each and at the end."""
-    spans = paper[0]["states"]
-    first = next(span for span in spans if span[2] == Mode.RELAX)
+    """Fig. 5, bottom: a relaxation from about 2.6 s, four aborts, one of them after a relaxation, idle after each."""
+    figures = paper[0]
+    assert figures["story"] == ["idle", "relax", "idle", "abort", "idle", "abort", "idle", "relax", "abort", "idle", "abort",
+                                "idle"]
+    first = next(span for span in figures["states"] if span[2] == Mode.RELAX)
     assert 2.6 <= first[0] <= 3.2
     assert first[1] - first[0] > 3.0
-    aborts = [span for span in spans if span[2] == Mode.ABORT]
-    assert [abs(span[0] - t) <= 1.5 for span, t in zip(aborts, ABORTS, strict=True)] == [True] * 4
-    after = {span[0]: span[2] for span in spans}
-    assert all(after[span[1]] == Mode.IDLE for span in aborts)
-    assert spans[-1][2] == Mode.IDLE
-    assert Mode.UNSEEN not in {span[2] for span in spans}
+    aborts = [span for span in figures["states"] if span[2] == Mode.ABORT]
+    assert [abs(span[0] - t) <= 1.0 for span, t in zip(aborts, ABORTS, strict=True)] == [True] * 4
     assert aborts[3][1] - aborts[3][0] > 9.0, "stalled until the block is removed"
+
+
+def test_what_passes_in_a_moment_is_no_part_of_the_story():
+    spans = [[0.0, 1.0, "idle"], [1.0, 1.04, "contact not seen"], [1.04, 2.0, "idle"], [2.0, 2.3, "relax"], [2.3, 4.0, "abort"],
+             [4.0, 5.0, "idle"], [5.0, 5.3, "relax"], [5.3, 6.0, "idle"]]
+    assert story(spans) == [[0.0, 2.0, "idle"], [2.3, 4.0, "abort"], [4.0, 5.0, "idle"], [5.0, 5.3, "relax"],
+                            [5.3, 6.0, "idle"]]
+
+
+def test_nobody_is_pushed_back_or_hard(paper):
+    """In RELAX, F . v_c is never negative once the arm had the time to brake; a push never meets more than 70 N."""
+    figures, columns, _ = paper
+    t, relax = columns["t"], columns["state"] == Mode.RELAX
+    begun = np.maximum.accumulate(np.where(relax & ~np.r_[False, relax[:-1]], t, -np.inf))
+    power = columns["contact_power"][relax & (t - begun > 0.1) & (columns["contact_link_est"] >= 0)]
+    assert power.min() > -0.1
+    assert figures["force_true_max_N"] <= 70.0
+    assert figures["ddq_measured_max"] <= 100.0
 
 
 def test_the_task_goes_on_while_relaxing(paper):
@@ -95,4 +112,5 @@ def test_a_tangential_push_of_20_n_moves_the_elbow_and_not_the_hand():
     assert set(mode) == {Mode.IDLE, Mode.RELAX}
     assert y[(t > 3.0) & (t < 3.5)].min() - y[t <= 1.5][-1] >= 0.03
     assert error[t > 1.0].max() <= 0.003
-    assert power[relaxing].min() >= -1e-9
+    # Half a millimetre a second, where the acceleration limit does not let the null space follow a corner of the path.
+    assert power[relaxing].min() >= -0.01

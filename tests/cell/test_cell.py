@@ -208,7 +208,7 @@ def test_without_a_camera_the_arm_waits_on_its_path_and_yields_in_its_joints():
     assert not any(s.contact.seen for s in snapshots if s.contact is not None)
     cell.apply(MoveObstacle("ball", (-0.2, -0.7, 0.6)))
     cell.apply(SetParameter("sensor.unplugged", False))
-    for _ in range(2500):
+    for _ in range(5000):
         snapshot = cell.step()
     assert snapshot.command.mode is Mode.IDLE
     assert snapshot.command.path_speed > 0.0

@@ -99,3 +99,17 @@ def test_forgetting_with_unit_gain_keeps_a_constant_velocity(seed):
 
 def test_the_blend_ends_at_one():
     assert [laws.blend(h, 4) for h in (1, 2, 3, 4, 5)] == [0.25, 0.5, 0.75, 1.0, 1.0]
+
+
+def test_the_path_takes_only_what_leaves_no_motion_into_the_push():
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        J_c, F, path, rest = rng.normal(size=(3, 7)), rng.normal(size=3), rng.normal(size=7), rng.normal(size=7)
+        share = laws.share_of_the_path(path, rest, J_c, F)
+        power = [F @ J_c @ (rest + s * path) for s in (share, min(1.0, share + 1e-3))]
+        assert 0.0 <= share <= 1.0
+        if F @ J_c @ rest >= 0.0:
+            assert power[0] >= -1e-9
+            assert share == 1.0 or power[1] < 0.0
+        else:
+            assert share == (1.0 if F @ J_c @ path >= 0.0 else 0.0)

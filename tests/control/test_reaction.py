@@ -157,7 +157,7 @@ def test_a_contact_nobody_sees_freezes_the_path_and_yields_in_the_joints():
     s = arm.reaction.path.s
     command = arm.run(0.5, residual=r, detected=True)[-1]
     assert command.mode is Mode.UNSEEN
-    np.testing.assert_allclose(command.dq, 0.02 * r, atol=1e-9)
+    np.testing.assert_allclose(command.dq, ReactionConfig().k_reflex * r, atol=1e-9)
     assert arm.reaction.path.s == s
     assert arm.run(3.0)[-1].mode is Mode.IDLE
 
@@ -171,9 +171,9 @@ def test_an_abandoned_task_does_not_press_into_a_contact_that_is_not_seen():
     before = arm.point(WRIST)
     commands = arm.run(1.0, residual=r, detected=True)
     assert {c.mode for c in commands} == {Mode.ABORT}
-    np.testing.assert_allclose(commands[-1].dq, 0.02 * r, atol=1e-9)
+    np.testing.assert_allclose(commands[-1].dq, ReactionConfig().k_reflex * r, atol=1e-9)
     assert (arm.point(WRIST) - before)[1] > -0.005
-    assert arm.run(3.0)[-1].mode is Mode.IDLE
+    assert arm.run(6.0)[-1].mode is Mode.IDLE
 
 
 def test_after_an_unseen_contact_it_comes_back_slowly_and_answers_the_next_at_once():
@@ -316,3 +316,35 @@ def test_every_change_of_mode_says_why():
     assert [reason for _, reason in changes] == [
         "at most f_release, 3 N, for 0.2 s", "40.0 N is more than f_abort, 25 N",
         "the contact is gone and made up for to 5 mm"]
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_the_path_waits_before_a_push_that_the_null_space_cannot_take(waits):
+    arm = Arm(ReactionConfig(path_waits=waits))
+    arm.run(1.0)
+    against = -15.0 * (arm.reaction.path.ahead(DT) / np.linalg.norm(arm.reaction.path.ahead(DT)))
+    power, speeds = [], []
+    for _ in range(60):
+        terms = DYNAMICS.terms(arm.q, arm.dq)
+        command = arm.step(force=against, at=WRIST)
+        power.append(against @ terms.J_contact(6, apply(terms.T_world_link[6], WRIST[1])) @ command.dq)
+        speeds.append(command.path_speed)
+    assert command.mode is Mode.RELAX
+    if waits:
+        assert min(power[20:]) > -0.05
+        assert speeds[-1] < 0.5
+    else:
+        assert min(power[20:]) < -0.5
+    assert errors(arm.run(3.0))[-100:].max() < 1e-3
+    assert arm.reaction.path.s > 0.3, "and goes on afterwards"
+
+
+def test_the_path_waits_at_once_for_a_contact_without_a_place():
+    arm = Arm()
+    arm.run(1.0)
+    before = arm.reaction.path.s
+    seen = arm.run(0.1, detected=True)
+    assert {c.mode for c in seen} == {Mode.IDLE}
+    assert seen[-1].path_speed == 0.0
+    assert arm.reaction.path.s - before < 0.2 * 0.04
+    assert arm.run(2.0)[-1].path_speed == 1.0

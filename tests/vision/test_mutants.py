@@ -19,8 +19,11 @@ MUTANTS = {
     "tiles one pixel farther apart": ("b - a_end + 1, a - b_end + 1", "b - a_end + 2, a - b_end + 2"),
     "the longest ray too short": ("g.ray = math.sqrt(1.0 + u * u + v * v)", "g.ray = 1.0"),
     "nine tenths of the reach": ("< reach * reach * squares[o]", "< 0.81 * reach * reach * squares[o]"),
-    "four bits of depth fewer": ("(__builtin_bit_cast(unsigned, iz) & 0xFFFFFFF0u)",
-                                 "(__builtin_bit_cast(unsigned, iz) & 0xFFFFFF00u)"),
+    "four bits of depth fewer": ("(__builtin_bit_cast(Whole, iz) & (int)0xFFFFFFF0u)",
+                                 "(__builtin_bit_cast(Whole, iz) & (int)0xFFFFFF00u)"),
+    "a patch of three rows": ("            fold(__builtin_shufflevector(key, key, 12, 13, 14, 15));\n", ""),
+    "a tile as far from a pixel as from the one above": ("known[i] - step[i]", "known[i]"),
+    "as near to the obstacles as the pixel above": ("sqrtf(least[i]) + way", "sqrtf(least[i])"),
     "the near plane 1 cm farther": ("NEAR = 0.05", "NEAR = 0.06"),
 }
 """What is written in hrc/vision/kernels, once, and what is written in its place."""

@@ -37,6 +37,25 @@ def test_nothing_leaks_over_the_right_border():
     assert not np.isfinite(depth[:, :80]).any()
 
 
+@pytest.mark.parametrize("size", [(96, 64), (90, 60)])
+@pytest.mark.parametrize("radius", [0.02, 0.3])
+def test_nothing_leaks_over_the_last_corner(size, radius):
+    """Triangles are drawn in whole vectors, which may end below the image; what is there stays empty."""
+    camera, ball = small_camera(*size), meshes.sphere(radius, 3)
+    raster = kernels.Rasteriser(kernels.grid(camera), [ball], "cpu")
+    pose = transform(np.eye(3), camera.unproject(size[0] - 1, size[1] - 1, 1.0))[None]
+    raster.place(pose)
+    raster.launch()
+    depth, _ = raster.image()
+    cast, _ = reference.render(camera, [ball], pose)
+    np.testing.assert_array_equal(np.isfinite(depth), np.isfinite(cast))
+    assert np.isfinite(depth[-1, -1])
+    rows = raster.keys.numpy()
+    width = raster.grid.stride
+    assert not rows[width * size[1]:].any()
+    assert not rows[: width * size[1]].reshape(-1, width)[:, size[0]:].any()
+
+
 def test_a_mesh_at_the_zero_pose_or_behind_the_camera_is_not_drawn():
     camera = small_camera()
     ball = meshes.sphere(0.2, 2)

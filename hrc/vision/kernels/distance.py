@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from hrc.vision.kernels import native
+from hrc.vision.kernels import native, native_distance
 from hrc.vision.kernels.chords import endless
 from hrc.vision.kernels.filtering import Filter
 from hrc.vision.kernels.runtime import pixels_per_thread, read, tiles_per_thread, upload, zeros
 from hrc.vision.kernels.types import (
-    ID,
     LINK_COUNT,
     MAX_CANDIDATES,
     MODULE,
@@ -27,7 +26,6 @@ from hrc.vision.kernels.types import (
     Ints,
     Keys,
     Ranks,
-    depth_of,
     pixels,
     to_image,
 )
@@ -94,55 +92,8 @@ def measure(keys: Keys, links: wp.uint32, depth: Floats, back: Floats, near: Flo
     if i / TILE >= n_active[0]:
         return
     t = active[i / TILE]
-    listed = counts[t] <= MAX_CANDIDATES
-    n = counts[t]
-    wide = region[2] - region[0]
-    if not listed:
-        n = wide * (region[3] - region[1])
-    ix = 1.0 / g.fx
-    iy = 1.0 / g.fy
-    # Of the pixel before: where it is, and how far from an obstacle.
-    last = wp.vec3()
-    bound = float(-1.0)
-    for j in range(i % TILE, i % TILE + grain):
-        u = (t % g.tiles_x) * TILE_W + j % TILE_W
-        v = (t / g.tiles_x) * TILE_H + j / TILE_W
-        pixel = v * g.stride + u
-        key = keys[pixel]
-        least = float(reach * reach)
-        if key != wp.uint32(0) and ((links >> (key & ID)) & wp.uint32(1)) != wp.uint32(0):
-            z = depth_of(key)
-            p = wp.vec3((float(u) - g.cx) * ix * z, (float(v) - g.cy) * iy * z, z)
-            if depth[pixel] <= z and z <= wp.min(back[pixel], depth[pixel] + thickness):
-                least = 0.0
-            else:
-                if bound >= 0.0:
-                    # No farther than the pixel before, the way from there, and that of the obstacle's point on its ray.
-                    bound += wp.length(p - last) + g.ray * wp.abs(z - last[2]) + 1.0e-5
-                    least = wp.min(least, bound * bound)
-                for k in range(n):
-                    o = int(0)
-                    if listed:  # noqa: SIM108 -- a kernel's `if` expression would read both
-                        o = lists[t * MAX_CANDIDATES + k]
-                    else:
-                        o = (region[1] + k / wide) * g.tiles_x + region[0] + k % wide
-                    ahead = wp.max(0.0, wp.max(near[o] - z, z - far[o] - thickness))
-                    if SLACK * ahead * ahead < least:
-                        ou = (o % g.tiles_x) * TILE_W
-                        ov = (o / g.tiles_x) * TILE_H
-                        dx = gap(u, u + 1, ou, ou + TILE_W) * ix
-                        dy = gap(v, v + 1, ov, ov + TILE_H) * iy
-                        if SLACK * z * z * (dx * dx + dy * dy) < least * squares[o]:
-                            least = wp.min(least, native.tile_distance(depth, back, ou, ov, p[0], p[1], z, thickness, g))
-            last = p
-        if least < reach * reach:
-            bound = wp.sqrt(least)
-            distances[pixel] = bound
-            # The rank orders by distance, then by pixel: equal distances always give the same pixel.
-            wp.atomic_min(nearest, int(key & ID), (wp.uint64(wp.cast(least, wp.uint32)) << wp.uint64(32)) | wp.uint64(pixel))
-        else:
-            bound = -1.0
-            distances[pixel] = wp.inf
+    native_distance.measure_pixels(keys, links, depth, back, near, far, reach, thickness, region, squares, g, lists,
+                                   MAX_CANDIDATES, counts[t], t, i % TILE, grain, SLACK, distances, nearest)
 
 
 class Distance:

@@ -62,7 +62,7 @@ class Filter:
         """
         self._frame = np.ascontiguousarray(depth, np.float32)
         if self.device == "cpu":
-            self._address.write(self._frame.ctypes.data)
+            self._address.write(self._frame.__array_interface__["data"][0])
         else:
             self._frame = upload(self._frame.ravel(), wp.float32, self.device)
             self._address.write(self._frame.ptr)

@@ -57,6 +57,10 @@ def resolve_row(keys: wp.array(dtype=wp.uint32), row: int, g: Grid, depth: wp.ar
         return (z > 0.0f) & (z < far) & (z * m < 1.0f);
     };
     const auto close = [&](const float a, const float b) { return (int)((a > 0.0f) & (a - b < step) & (b - a < step)); };
+#if !defined(__CUDA_ARCH__)
+    // The tile below is looked at soon, and a new frame is in no cache: a tile's rows are too far apart to be foreseen.
+    for (int r = 8; r < 16; ++r) __builtin_prefetch(raw + r * W);
+#endif
     if (inside) {
         for (int r = 0; r < 8; ++r) {
             #pragma clang loop vectorize(enable)
@@ -138,37 +142,6 @@ def filter_tile(frame: wp.array(dtype=wp.uint64), cover: wp.array(dtype=wp.uint3
     return wp::vec2(1.0f / __builtin_bit_cast(float, most), 1.0f / __builtin_bit_cast(float, least));
 """)
 def robot_range(keys: wp.array(dtype=wp.uint32), first: int, links: wp.uint32, g: Grid) -> wp.vec2: ...
-
-
-# Least squared distance from the point (x, y, z) to the pixels of one obstacle tile, each an interval of depths
-# [d, d + thickness], or to `back` if that is nearer: its point nearest in depth to z counts, in all three components
-# (Sec. III-C, d(O, P)).
-# The minimum is taken over the bits, which vectorises where a float minimum does not; all values are >= 0.
-@wp.func_native(r"""
-    int least[16];
-    float kx[16];
-    const float ix = 1.0f / g.fx, iy = 1.0f / g.fy;
-    for (int i = 0; i < 16; ++i) { least[i] = 0x7f7fffff; kx[i] = ((float)(u + i) - g.cx) * ix; }
-    for (int r = 0; r < 8; ++r) {
-        const float ky = ((float)(v + r) - g.cy) * iy;
-        const float* __restrict f = depth.data + (v + r) * g.stride + u;
-        const float* __restrict b = back.data + (v + r) * g.stride + u;
-        #pragma clang loop vectorize(enable)
-        for (int i = 0; i < 16; ++i) {
-            const float d = f[i] < 1.0e3f ? f[i] : 1.0e3f, most = d + thickness, end = b[i] < most ? b[i] : most;
-            const float inner = z < end ? z : end;
-            const float e = d < inner ? inner : d, dx = kx[i] * e - x, dy = ky * e - y, dz = e - z;
-            const float s = dx * dx + dy * dy + dz * dz;
-            const int bits = __builtin_bit_cast(int, s);
-            least[i] = bits < least[i] ? bits : least[i];
-        }
-    }
-    int m = 0x7f7fffff;
-    for (int i = 0; i < 16; ++i) m = least[i] < m ? least[i] : m;
-    return __builtin_bit_cast(float, m);
-""")
-def tile_distance(depth: wp.array(dtype=wp.float32), back: wp.array(dtype=wp.float32), u: int, v: int, x: float, y: float,
-                  z: float, thickness: float, g: Grid) -> float: ...
 
 
 # The runs of one surface along a line of n pixels, `stride` apart: no two side by side differ by `step` or more in depth.

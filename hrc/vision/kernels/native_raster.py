@@ -56,9 +56,10 @@ def project_run(points: Floats, normals: Floats, first: int, n: int, T: wp.mat44
 # in the low four bits: one maximum keeps the nearest surface and its owner, 4 um being lost in depth. Front faces have a
 # negative area, since rows count downwards.
 #
-# On a CPU the triangles go through in blocks of 64: all are set up side by side, and those with a pixel are drawn in whole
-# columns of tiles. Most have one or two rows in a single column, and are drawn without a branch. The loop that draws reads,
-# compares and writes, which races between threads, so CUDA takes an atomic maximum per pixel instead.
+# On a CPU the triangles go through in blocks of 64: all are set up side by side, and those with a pixel are drawn. Most fit
+# into a patch of 4 x 4 pixels, which is one vector, and are drawn without a branch; the others go row by row, in vectors of 16.
+# Either way what is outside of the triangle, even beyond the image, is written back as it was. Reading, comparing and writing
+# races between threads, so CUDA takes an atomic maximum per pixel instead.
 @wp.func_native(r"""
     const int total = screen.shape[0] / 3, m = faces.shape[0] / 3;
     const float* __restrict U = screen.data; const float* __restrict V = U + total; const float* __restrict W = V + total;
@@ -68,8 +69,14 @@ def project_run(points: Floats, normals: Floats, first: int, n: int, T: wp.mat44
     constexpr int block = 1;
 #else
     constexpr int block = N;
+    typedef float Reals __attribute__((ext_vector_type(16)));
+    typedef int Whole __attribute__((ext_vector_type(16)));
+    typedef int Four __attribute__((ext_vector_type(4)));
+    const Reals column = {0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3};
+    const Reals row = {0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3};
 #endif
-    float ax[block], ay[block], az[block], bdx[block], bdy[block], cdx[block], cdy[block], zb[block], zc[block];
+    float b0[block], bx[block], by[block], c0[block], cx[block], cy[block], za[block], zb[block], zc[block];
+    float wide[block], high[block];
     int x0[block], y0[block], x1[block], y1[block], kind[block];
     for (int start = first; start < first + n; start += block) {
         const int* __restrict A = faces.data + start; const int* __restrict B = A + m; const int* __restrict C = B + m;
@@ -77,9 +84,9 @@ def project_run(points: Floats, normals: Floats, first: int, n: int, T: wp.mat44
         for (int i = 0; i < block; ++i) {
             const int a = A[i], b = B[i], c = C[i];
             const float x = U[a], y = V[a], z = W[a], bz = W[b], cz = W[c];
-            const float bx = U[b] - x, by = V[b] - y, cx = U[c] - x, cy = V[c] - y;
-            const float area = bx * cy - by * cx, inv = 1.0f / area;
-            float lx = bx < cx ? bx : cx, hx = bx > cx ? bx : cx, ly = by < cy ? by : cy, hy = by > cy ? by : cy;
+            const float ux = U[b] - x, uy = V[b] - y, vx = U[c] - x, vy = V[c] - y;
+            const float area = ux * vy - uy * vx, inv = 1.0f / area;
+            float lx = ux < vx ? ux : vx, hx = ux > vx ? ux : vx, ly = uy < vy ? uy : vy, hy = uy > vy ? uy : vy;
             lx = x + (lx < 0.0f ? lx : 0.0f); hx = x + (hx > 0.0f ? hx : 0.0f);
             ly = y + (ly < 0.0f ? ly : 0.0f); hy = y + (hy > 0.0f ? hy : 0.0f);
             const bool seen = (area < 0.0f) & (z > 0.0f) & (bz > 0.0f) & (cz > 0.0f)
@@ -89,23 +96,24 @@ def project_run(points: Floats, normals: Floats, first: int, n: int, T: wp.mat44
             ly = ly > 0.0f ? ly : 0.0f; ly = ly < bottom ? ly : bottom;
             hy = hy > 0.0f ? hy : 0.0f; hy = hy < bottom ? hy : bottom;
             const int l = (int)(lx + 0.9999f), t = (int)(ly + 0.9999f), r = (int)hx, e = (int)hy;
-            const bool drawn = seen & (l <= r) & (t <= e), small = ((l >> 4) == (r >> 4)) & (e - t <= 1);
-            ax[i] = x; ay[i] = y; az[i] = z; zb[i] = bz - z; zc[i] = cz - z;
-            bdx[i] = cy * inv; bdy[i] = -cx * inv; cdx[i] = -by * inv; cdy[i] = bx * inv;
+            const bool drawn = seen & (l <= r) & (t <= e), small = (r - l < 4) & (e - t < 4);
+            const float dx = (float)l - x, dy = (float)t - y;
+            bx[i] = vy * inv; by[i] = -vx * inv; b0[i] = bx[i] * dx + by[i] * dy;
+            cx[i] = -uy * inv; cy[i] = ux * inv; c0[i] = cx[i] * dx + cy[i] * dy;
+            za[i] = z; zb[i] = bz - z; zc[i] = cz - z;
+            wide[i] = (float)(r - l); high[i] = (float)(e - t);
             x0[i] = l; y0[i] = t; x1[i] = r; y1[i] = e;
             kind[i] = drawn ? (small ? 1 : 2) : 0;
         }
         const wp::uint32* __restrict id = ids.data + start;
 #if defined(__CUDA_ARCH__)
         if (kind[0] == 0) continue;
-        for (int y = y0[0]; y <= y1[0]; ++y) {
-            const float dy = (float)y - ay[0], b0 = bdy[0] * dy, c0 = cdy[0] * dy;
-            for (int x = x0[0]; x <= x1[0]; ++x) {
-                const float dx = (float)x - ax[0], b = bdx[0] * dx + b0, c = cdx[0] * dx + c0;
-                const float iz = az[0] + b * zb[0] + c * zc[0];
-                if (b >= -1e-6f && c >= -1e-6f && b + c <= 1.000001f)
-                    atomicMax(keys.data + y * g.stride + x, (__float_as_uint(iz) & 0xFFFFFFF0u) | id[0]);
-            }
+        for (int y = y0[0]; y <= y1[0]; ++y) for (int x = x0[0]; x <= x1[0]; ++x) {
+            const float dx = (float)(x - x0[0]), dy = (float)(y - y0[0]);
+            const float b = b0[0] + bx[0] * dx + by[0] * dy, c = c0[0] + cx[0] * dx + cy[0] * dy;
+            const float iz = za[0] + b * zb[0] + c * zc[0];
+            if (b >= -1e-6f && c >= -1e-6f && b + c <= 1.000001f)
+                atomicMax(keys.data + y * g.stride + x, (__float_as_uint(iz) & 0xFFFFFFF0u) | id[0]);
         }
 #else
         unsigned long long few = 0, many = 0;
@@ -113,29 +121,45 @@ def project_run(points: Floats, normals: Floats, first: int, n: int, T: wp.mat44
             few |= (unsigned long long)(kind[i] == 1) << i;
             many |= (unsigned long long)(kind[i] == 2) << i;
         }
-        const auto paint = [&](const int i, const int y, const int base) {
-            const float dy = (float)y - ay[i], b0 = bdy[i] * dy, c0 = cdy[i] * dy, left = (float)base - ax[i];
-            const float bx = bdx[i], cx = cdx[i], z = az[i], bz = zb[i], cz = zc[i];
-            const unsigned owner = id[i], skip = base - x0[i], wide = x1[i] - x0[i];
-            unsigned* __restrict q = keys.data + y * g.stride + base;
-            #pragma clang loop vectorize(enable) vectorize_width(16) interleave(disable)
-            for (int k = 0; k < 16; ++k) {
-                const float dx = left + (float)k, b = bx * dx + b0, c = cx * dx + c0, iz = z + b * bz + c * cz;
-                const unsigned in = (unsigned)(b >= -1e-6f) & (unsigned)(c >= -1e-6f) & (unsigned)(b + c <= 1.000001f)
-                                  & (unsigned)((unsigned)k + skip <= wide);
-                const unsigned key = in ? (__builtin_bit_cast(unsigned, iz) & 0xFFFFFFF0u) | owner : 0u;
-                const unsigned old = q[k];
-                q[k] = old > key ? old : key;
-            }
+        const auto dab = [&](const int i) {
+            const Reals b = b0[i] + bx[i] * column + by[i] * row, c = c0[i] + cx[i] * column + cy[i] * row;
+            const Reals iz = za[i] + b * zb[i] + c * zc[i];
+            const Whole in = (b >= -1e-6f) & (c >= -1e-6f) & (b + c <= 1.000001f) & (column <= wide[i]) & (row <= high[i]);
+            const Whole key = ((__builtin_bit_cast(Whole, iz) & (int)0xFFFFFFF0u) | (int)id[i]) & in;
+            unsigned* q = keys.data + y0[i] * g.stride + x0[i];
+            const auto fold = [&](const Four now) {
+                Four old;
+                __builtin_memcpy(&old, q, sizeof old);
+                old = __builtin_elementwise_max(old, now);
+                __builtin_memcpy(q, &old, sizeof old);
+                q += g.stride;
+            };
+            fold(__builtin_shufflevector(key, key, 0, 1, 2, 3));
+            fold(__builtin_shufflevector(key, key, 4, 5, 6, 7));
+            fold(__builtin_shufflevector(key, key, 8, 9, 10, 11));
+            fold(__builtin_shufflevector(key, key, 12, 13, 14, 15));
         };
-        for (; few; few &= few - 1) {
-            const int i = __builtin_ctzll(few), base = x0[i] & ~15;
-            paint(i, y0[i], base);
-            paint(i, y1[i], base);
-        }
+        for (; few; few &= few - 1) dab(__builtin_ctzll(few));
         for (; many; many &= many - 1) {
             const int i = __builtin_ctzll(many);
-            for (int y = y0[i]; y <= y1[i]; ++y) for (int base = x0[i] & ~15; base <= x1[i]; base += 16) paint(i, y, base);
+            const float bdx = bx[i], cdx = cx[i], z = za[i], bz = zb[i], cz = zc[i], last = wide[i];
+            const unsigned owner = id[i];
+            for (int y = y0[i]; y <= y1[i]; ++y) {
+                const float dy = (float)(y - y0[i]), bl = b0[i] + by[i] * dy, cl = c0[i] + cy[i] * dy;
+                for (int base = x0[i] & ~15; base <= x1[i]; base += 16) {
+                    const float left = (float)(base - x0[i]);
+                    unsigned* __restrict q = keys.data + y * g.stride + base;
+                    #pragma clang loop vectorize(enable) vectorize_width(16) interleave(disable)
+                    for (int k = 0; k < 16; ++k) {
+                        const float dx = left + (float)k, b = bl + bdx * dx, c = cl + cdx * dx, iz = z + b * bz + c * cz;
+                        const unsigned in = (unsigned)(b >= -1e-6f) & (unsigned)(c >= -1e-6f) & (unsigned)(b + c <= 1.000001f)
+                                          & (unsigned)(dx >= 0.0f) & (unsigned)(dx <= last);
+                        const unsigned key = in ? (__builtin_bit_cast(unsigned, iz) & 0xFFFFFFF0u) | owner : 0u;
+                        const unsigned old = q[k];
+                        q[k] = old > key ? old : key;
+                    }
+                }
+            }
         }
 #endif
     }

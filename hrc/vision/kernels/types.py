@@ -92,8 +92,8 @@ def depth_of(key: wp.uint32) -> float:
 
 
 def pixels(g: Grid) -> int:
-    """Entries of an image buffer. One vector beyond the last row is spare: a row is drawn in whole vectors."""
-    return g.stride * g.tiles_y * TILE_H + TILE_W
+    """Entries of an image buffer. Beyond the last row there is some to spare: triangles are drawn in whole vectors."""
+    return g.stride * (g.tiles_y * TILE_H + 3) + TILE_W
 
 
 def to_image(buffer: np.ndarray, g: Grid) -> np.ndarray:
