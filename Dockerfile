@@ -38,5 +38,5 @@ EXPOSE 8080
 # Python as process 1 ignores SIGTERM; SIGINT ends it as Ctrl-C does
 STOPSIGNAL SIGINT
 ENTRYPOINT ["python", "-m", "app"]
-# an address that others reach needs a token: ELBOWROOM_TOKEN
+# an address that others reach needs a token: ELBOWROOM_TOKEN, or the one that is printed
 CMD ["serve", "--host", "0.0.0.0"]

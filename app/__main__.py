@@ -22,26 +22,36 @@ commands = tyro.extras.SubcommandApp()
 
 
 @commands.command
-def serve(scenario: str = "free", host: str = "127.0.0.1", port: int = 8080, device: str = "cpu",
+def serve(scenario: str = "free", host: str = "127.0.0.1", port: int | Literal["auto"] = 8080, device: str = "cpu",
           settings: Settings = (), settings_file: SettingsFile = None, seed: int = 0,
-          open_browser: FlagCreatePairsOff[bool] = False) -> None:
+          open_browser: FlagCreatePairsOff[bool] = False, token: str | None = None, view_token: str | None = None,
+          allow_host: UseAppendAction[tuple[str, ...]] = (), tls_cert: Path | None = None,
+          tls_key: Path | None = None) -> None:
     """Open the cell in the browser: push the arm, drag obstacles into it (the command without a name does this).
 
     Args:
         scenario: Name of a scenario, or a TOML file.
-        host: Address to listen on.
-        port: Port to listen on.
+        host: Address to listen on; on any but this machine's own a visitor needs a token.
+        port: Port to listen on; auto takes 8080 or the next that is free.
         device: Compute device of the vision, cpu or cuda:0.
         settings: Parameters to change, as control.f_abort=30.
         settings_file: TOML file of parameters to change, as calibrate writes it; --set goes over it.
         seed: Seed of all noise.
         open_browser: Open the page in the default browser.
+        token: What a visitor must know to drive; made and printed where one is needed. Others can see a command line:
+            the environment's ELBOWROOM_TOKEN does the same.
+        view_token: What a visitor must know to watch only; made and printed with the other, or ELBOWROOM_VIEW_TOKEN.
+        allow_host: A further host name of the page, as behind a proxy; can be given again.
+        tls_cert: Certificate in PEM, to serve HTTPS.
+        tls_key: Its key in PEM, unencrypted.
     """
+    from app.serve.access import Access
     from app.serve.main import serve as start
     from app.settings import parse, read
 
+    access = Access.of(host, port, token=token, view_token=view_token, names=allow_host, tls_cert=tls_cert, tls_key=tls_key)
     changes = [*(read(settings_file) if settings_file else ()), *map(parse, _flat(settings))]
-    start(scenario, host=host, port=port, device=device, settings=changes, seed=seed, open_browser=open_browser)
+    start(scenario, access, device=device, settings=changes, seed=seed, open_browser=open_browser)
 
 
 @commands.command
@@ -49,7 +59,7 @@ def run(scenario: Annotated[Positional[str], arg(metavar="SCENARIO")], out: Path
         duration: float | None = None, settings: Settings = (), preset: str = "default", device: str = "cpu",
         depth: Literal["none", "sampled", "full"] = "sampled", overwrite: FlagCreatePairsOff[bool] = False,
         quiet: FlagCreatePairsOff[bool] = False, no_record: FlagCreatePairsOff[bool] = False,
-        settings_file: SettingsFile = None) -> None:
+        settings_file: SettingsFile = None, check: Annotated[str | None, arg(metavar="GATES")] = None) -> None:
     """Run a scenario without a screen and write a folder: recording, signals, metrics, figure.
 
     Args:
@@ -66,9 +76,12 @@ def run(scenario: Annotated[Positional[str], arg(metavar="SCENARIO")], out: Path
         quiet: Print only the result.
         no_record: Leave session.rrd out.
         settings_file: TOML file of parameters to change, as calibrate writes it; --set goes over it.
+        check: Gates that the figures must pass, a TOML file or `paper`; one that does not hold is exit code 1.
     """
+    from app import gates
     from app.headless import Job, execute
 
+    bounds = gates.load(check) if check is not None else ()
     job = Job(scenario, out, seed, duration, _flat(settings), preset, device, depth, not no_record, overwrite, quiet,
               settings_file)
     figures = execute(job)
@@ -77,6 +90,44 @@ def run(scenario: Annotated[Positional[str], arg(metavar="SCENARIO")], out: Path
         print(f"elbowroom: {figures['recording_problem']}", file=sys.stderr)
     if figures["interrupted"] or figures["recording_problem"]:
         raise SystemExit(130 if figures["interrupted"] else 1)
+    verdicts = gates.judge(bounds, figures)
+    failed = sum(not verdict.holds for verdict in verdicts)
+    if failed:
+        print(f"{failed} of {len(verdicts)} gates do not hold:\n{gates.table(verdicts)}")
+        raise SystemExit(1)
+    if verdicts:
+        print(f"all {len(verdicts)} gates hold")
+
+
+@commands.command
+def replay(folder: Annotated[Positional[Path], arg(metavar="FOLDER")], exact: FlagCreatePairsOff[bool] = False,
+           settings: Settings = (), out: Path | None = None, device: str | None = None,
+           overwrite: FlagCreatePairsOff[bool] = False) -> None:
+    """Run a recorded session again: exactly, or with other parameters of what sees, feels and decides.
+
+    Args:
+        folder: What `run` has written.
+        exact: Run robot and all again from config, seed and events, and compare every bit.
+        settings: Parameters to change, as vision.margin=0.02; the robot moves as recorded.
+        out: Folder to write, with signals and metrics; it must not exist.
+        device: Compute device of the vision, cpu or cuda:0; by default the one of the session.
+        overwrite: Replace the folder of an earlier replay.
+    """
+    if exact and (settings or out):
+        raise HrcError("an exact replay changes and writes nothing; leave --exact out for one with --set or --out")
+    if exact:
+        from app.replay import exact as again
+
+        verdict, identical = again(folder, device)
+        print(verdict)
+        raise SystemExit(0 if identical else 1)
+    from app.open_loop import Job, execute, table
+
+    found = execute(Job(folder, _flat(settings), out, device, overwrite))
+    print(table(found))
+    print(f"{found.changed or 'every bit as recorded'}; at {found.factor:.1f} x real time")
+    if found.changed is not None and not settings:
+        raise SystemExit(1)
 
 
 @commands.command

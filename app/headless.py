@@ -1,6 +1,5 @@
 """A run without a screen: one scenario as fast as it goes, and what it leaves in a folder."""
 
-import json
 import platform
 import sys
 import time
@@ -10,18 +9,15 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from app import metrics, output, settings
 from app.interrupt import Interrupt
-from app.record.signals import SignalTable, write_parquet
+from app.record.folder import EventLog, write, write_json
+from app.record.signals import SignalTable
 from hrc.cell import pace, scenario
 from hrc.cell.cell import Cell
 from hrc.cell.run import Inbox, Observer, run
 from hrc.config import Config
 from hrc.errors import HrcError
-from hrc.events import to_dict
-from hrc.messages import Snapshot
 from hrc.parameters import keys
 from hrc.vision.kernels import check_device
 
@@ -65,16 +61,6 @@ class _Clock:
         self.started = now
 
 
-class _Refusals:
-    """An observer that keeps the events the cell refused."""
-
-    def __init__(self) -> None:
-        self.found: list[tuple[int, Any, str]] = []
-
-    def on_step(self, snapshot: Snapshot) -> None:
-        self.found += [(snapshot.tick - 1, event, reason) for event, reason in snapshot.refused]
-
-
 def execute(job: Job) -> dict[str, Any]:
     """Run, write the output folder, and return the metrics.
 
@@ -90,10 +76,10 @@ def execute(job: Job) -> dict[str, Any]:
     _say(job, "building the cell (the very first time its kernels compile, about 5 s) ...")
     cell = Cell(config, job.device)
     about = {"scenario": script.name, "preset": job.preset, "seed": config.seed, "device": job.device, **versions()}
-    table, refusals = SignalTable(), _Refusals()
+    table, log = SignalTable(), EventLog()
     with output.folder(job.out, overwrite=job.overwrite) as folder:
         recorder = _recorder(job, folder / "session.rrd", cell, about) if job.record else None
-        observers: list[Observer] = [table, refusals, *([recorder] if recorder else [])]
+        observers: list[Observer] = [table, log, *([recorder] if recorder else [])]
         clock.lap("set_up")
         try:
             interrupted = _drive(job, cell, Inbox(script, config.rates.base_hz), observers, end)
@@ -103,17 +89,15 @@ def execute(job: Job) -> dict[str, Any]:
         columns = table.columns()
         figures = {**about, "simulated_s": cell.tick / config.rates.base_hz, "interrupted": interrupted,
                    "recording_problem": problem, **metrics.compute(columns),
-                   "counts": _counts(cell, table, refusals, recorder),
-                   "refused": [f"{to_dict(event)['type']}: {reason}" for _, event, reason in refusals.found]}
-        write_parquet(folder / "signals.parquet", columns, about)
-        _write_json(folder / output.MARK, {**about, "parameters": keys(config)})
-        _write_events(folder / "events.jsonl", cell, refusals)
+                   "counts": _counts(cell, table, log, recorder),
+                   "refused": [f"{type(entry.event).__name__}: {entry.refused}" for entry in log.refused]}
+        write(folder, config, about, columns, log.entries)
         _draw(folder, script.name, columns, config)
         clock.lap("write")
         figures["wall_s"] = clock.laps
         figures["real_time_factor"] = figures["simulated_s"] / clock.laps["run"]
         figures["sizes_bytes"] = {path.name: path.stat().st_size for path in sorted(folder.iterdir())}
-        _write_json(folder / "metrics.json", figures)
+        write_json(folder / "metrics.json", figures)
     return figures
 
 
@@ -171,9 +155,8 @@ def _drive(job: Job, cell: Cell, inbox: Inbox, observers: list[Observer], end: i
     return interrupt.set
 
 
-def _counts(cell: Cell, table: SignalTable, refusals: _Refusals, recorder: "Recorder | None") -> dict[str, int]:
-    counts = {"ticks": cell.tick, "control_ticks": len(table), "events": len(cell.log),
-              "refused": len(refusals.found)}
+def _counts(cell: Cell, table: SignalTable, log: EventLog, recorder: "Recorder | None") -> dict[str, int]:
+    counts = {"ticks": cell.tick, "control_ticks": len(table), "events": len(log.taken), "refused": len(log.refused)}
     if recorder:
         counts |= {"depth_images": recorder.images_kept, "depth_images_dropped": recorder.images_dropped}
     return counts
@@ -184,23 +167,6 @@ def _draw(folder: Path, name: str, columns: dict[str, Any], config: Config) -> N
 
     figure(folder / ("figure5.png" if name == "paper" else "figure.png"), columns, F_relax=config.control.f_relax,
            F_abort=config.control.f_abort, title=f"{name}, seed {config.seed}")
-
-
-def _write_events(path: Path, cell: Cell, refusals: _Refusals) -> None:
-    lines: list[tuple[int, dict[str, Any]]] = [(tick, {"event": to_dict(event)}) for tick, event in cell.log]
-    lines += [(tick, {"event": to_dict(event), "refused": reason}) for tick, event, reason in refusals.found]
-    lines.sort(key=lambda line: line[0])
-    path.write_text("".join(json.dumps({"tick": tick, **rest}) + "\n" for tick, rest in lines))
-
-
-def _write_json(path: Path, values: dict[str, Any]) -> None:
-    path.write_text(json.dumps(values, indent=1, allow_nan=False, default=_plain) + "\n")
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"{value!r} is not JSON")
 
 
 def _say(job: Job, text: str) -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from hrc.cell.clock import RatesConfig
 from hrc.contact.estimate import TrackerConfig
+from hrc.contact.exposure import ExposureConfig
 from hrc.contact.force import ForceConfig
 from hrc.contact.friction import FrictionConfig
 from hrc.contact.pair import PairConfig
@@ -46,6 +47,7 @@ class Config(Parameters):
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
     pair: PairConfig = field(default_factory=PairConfig)
     force: ForceConfig = field(default_factory=ForceConfig)
+    exposure: ExposureConfig = field(default_factory=ExposureConfig)
     task: TaskConfig = field(default_factory=TaskConfig)
     control: ReactionConfig = field(default_factory=ReactionConfig)
 

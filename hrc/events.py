@@ -174,6 +174,39 @@ class SetParameter(Event):
 
 
 @dataclass(frozen=True)
+class SetTask(Event):
+    """Exchange the end effector's task while the cell runs: a kind of `task.kind`. The arm goes there without a jump.
+
+    "follow" begins where the arm comes to a stand.
+    """
+
+    kind: str
+
+    def __post_init__(self) -> None:
+        self._set("kind", _text("kind", self.kind))
+
+
+@dataclass(frozen=True)
+class MoveTarget(Event):
+    """Where the end effector is to go [m], in the world, in the task "follow"."""
+
+    position: Vector
+
+    def __post_init__(self) -> None:
+        self._set("position", _vector("position", self.position))
+
+
+@dataclass(frozen=True)
+class SetPosture(Event):
+    """The desired posture q_d [rad] (7,), which the arm keeps as far as its task leaves it free; it is neared slowly."""
+
+    q: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        self._set("q", _vector("q", self.q, 2.0 * math.pi, 7))
+
+
+@dataclass(frozen=True)
 class Stop(Event):
     """Stand still and stay so until Resume. Not a safety function."""
 

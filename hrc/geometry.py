@@ -79,3 +79,16 @@ def look_at(eye: ArrayLike, target: ArrayLike) -> Array:
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
     return transform(np.column_stack([x, np.cross(z, x), z]), eye)
+
+
+def closest_points(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array]:
+    """The points (3,), (3,) of the segments a-b and c-d that are nearest to each other; ends are points (3,)."""
+    u, v, w = b - a, d - c, a - c
+    uu, uv, vv, uw, vw = float(u @ u), float(u @ v), float(v @ v), float(u @ w), float(v @ w)
+    room = uu * vv - uv * uv
+    s = min(max((uv * vw - vv * uw) / room, 0.0), 1.0) if room > 1e-12 * uu * vv else 0.0
+    t = (uv * s + vw) / vv if vv > 0.0 else 0.0
+    if not 0.0 <= t <= 1.0:
+        t = min(max(t, 0.0), 1.0)
+        s = min(max((uv * t - uw) / uu, 0.0), 1.0) if uu > 0.0 else 0.0
+    return a + s * u, c + t * v

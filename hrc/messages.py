@@ -229,6 +229,22 @@ class Body:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Aim:
+    """What the end effector is to do now. kind: of the task.
+
+    target: where it was told to go in the task "follow" [m] (3,); goal: where it goes, which is the target or as near to it as
+    it comes; both None in other tasks. q_d: the desired posture that was asked for [rad] (7,). arrived: whether the reference
+    is at the goal, or on its path.
+    """
+
+    kind: str
+    q_d: Array
+    target: "Array | None" = None
+    goal: "Array | None" = None
+    arrived: bool = True
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Snapshot:
     """The latest of everything after one step. Recorder, browser and tests see nothing else.
 
@@ -238,6 +254,7 @@ class Snapshot:
     T_world_link [m]: poses of base and links (8, 4, 4), as measured at the last control tick.
     residual: r of Eq. (2) [N m] (7,).
     contact: the one that the reaction acts at; contacts: all with a known place, that one first.
+    aim: the task as it is now.
     detected: Eq. (4) with hysteresis. events: those applied before this tick; refused: (event, reason).
     """
 
@@ -262,6 +279,7 @@ class Snapshot:
     touches: tuple[Nearest, ...] = ()
     clearances: tuple[Clearance, ...] = ()
     contacts: tuple[Contact, ...] = ()
+    aim: Aim = field(default_factory=lambda: Aim("hold", np.zeros(7)))
 
     def __post_init__(self) -> None:
         read_only(self.T_world_link, self.residual)

@@ -11,6 +11,7 @@ import functools
 import inspect
 import math
 import textwrap
+from collections.abc import Mapping
 from typing import Any, Self, TypeVar
 
 from hrc.errors import ConfigError, unknown
@@ -126,6 +127,29 @@ def replaced(tree: Tree, key: str, value: Any) -> Tree:
     if key not in keys(tree):
         raise ConfigError(unknown("parameter", key, keys(tree)))
     return _replaced(tree, key, value)
+
+
+def assembled(tree: Tree, values: Mapping[str, Any]) -> Tree:
+    """A tree like this one with all of its values from `values`, `group.name` -> value: what `keys` gave, read back.
+
+    Raises ConfigError for an unknown key, a missing one, or a bad value.
+    """
+    known = keys(tree)
+    for key in values:
+        if key not in known:
+            raise ConfigError(unknown("parameter", key, known))
+    if missing := [key for key in known if key not in values]:
+        raise ConfigError(f"without a value: {', '.join(missing)}")
+    return _assembled(tree, values, "")
+
+
+def _assembled(tree: Tree, values: Mapping[str, Any], prefix: str) -> Tree:
+    # All fields of a group at once: on the way from one valid group to another, one by one, some would not be valid.
+    changes = {}
+    for field in dataclasses.fields(tree):
+        value, key = getattr(tree, field.name), prefix + field.name
+        changes[field.name] = _assembled(value, values, f"{key}.") if isinstance(value, Parameters) else values[key]
+    return dataclasses.replace(tree, **changes)
 
 
 def _replaced(tree: Tree, key: str, value: Any) -> Tree:

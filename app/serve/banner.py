@@ -15,7 +15,8 @@ STALE = '<div class="eb-stale">NO CONNECTION TO THE SERVER: WHAT YOU SEE IS OLD<
 class Facts:
     """What the banner says. mode: of the arm, or of the session while there is no arm. force, truth: |F| [N].
 
-    nearest, clearance: the link that is nearest to an obstacle, and how near [m]. silent: which of the cameras are.
+    limit: of the quasi-static force on a region of the body [N]. nearest, clearance: the link that is nearest to an obstacle,
+    and how near [m]. silent: which of the cameras are.
     """
 
     mode: str
@@ -24,6 +25,8 @@ class Facts:
     place: str = ""
     force: float = 0.0
     truth: float = 0.0
+    region: str = "hand"
+    limit: float = math.inf
     nearest: str = "-"
     clearance: float = math.inf
     silent: tuple[str, ...] = ()
@@ -49,6 +52,8 @@ def facts(session: Session, snapshot: Snapshot | None, config: Config) -> Facts:
         place=_place(contact),
         force=0.0 if contact is None else math.hypot(*contact.F_world),
         truth=math.hypot(*snapshot.truth.F_world),
+        region=config.exposure.region,
+        limit=config.exposure.limit,
         nearest="-" if nearest is None else LINKS[nearest.link],
         clearance=snapshot.clearance,
         silent=tuple(view.camera for view in snapshot.views if view.silent),
@@ -78,12 +83,24 @@ def banner(known: Facts, beat: int) -> str:
         f'<div class="eb-top"><span class="eb-mode">{escape(mode)}</span>'
         f'<span class="eb-force">{known.force:.1f} N</span></div>'
         f'<div class="eb-line"><span>contact: {escape(contact)}</span><span>true {known.truth:.1f} N</span></div>'
+        f"{_exposure(known)}"
         f'<div class="eb-line"><span>nearest obstacle: {escape(obstacle)}</span></div>'
         f'<div class="eb-line"><span>t = {known.time:.1f} s</span>'
         f"<span>real-time factor {known.factor:.2f}{capped}</span></div>"
         f'<div class="eb-note">{escape(known.note)}</div>'
         f'<div class="eb-note eb-trouble">{escape(_trouble(known))}</div></div>'
     )
+
+
+def _exposure(known: Facts) -> str:
+    if not math.isfinite(known.limit):
+        return ""
+    share = 100.0 * known.force / known.limit
+    return (
+        f'<div class="eb-bar" data-share="{share:.1f}" title="Estimated force against the quasi-static limit of ISO/TS 15066, '
+        f'Annex A. Indicative: no pressure, no transient, no risk assessment.">'
+        f'<i style="width:{min(share, 100.0):.0f}%"></i>'
+        f"<span>{share:.0f} % of {known.limit:g} N, {escape(known.region)} (indicative)</span></div>")
 
 
 def _trouble(known: Facts) -> str:

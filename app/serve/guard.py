@@ -1,4 +1,4 @@
-"""The only door to the page: who may load it, who may open a socket, and how much may come through.
+"""The only door to the page: who may load it, who may open a socket, how much may come through, and from whom.
 
 viser has no hook for any of this, but it builds its server by `websockets.asyncio.server.serve`, and that one has:
 `process_request` sees every request before it is answered, `create_connection` makes the object whose `recv` hands the
@@ -9,97 +9,82 @@ version is pinned, and tests/app/test_guard.py is the tripwire.
 
 import asyncio
 import contextlib
-import errno
-import gzip
-import hmac
 import http
 import io
-import ipaddress
-import mimetypes
-import re
-import socket
+import ssl
 import threading
 import time
 import urllib.parse
 from collections import Counter
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, Literal
 
 import viser
 import websockets.asyncio.server as websockets_server
 from viser import _messages
-from websockets import Headers
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-from app.serve.inbound import RefusedError, screen
-from hrc.errors import HrcError
-from hrc.paths import static
+from app.serve import content
+from app.serve.address import LOOPBACK, PageError, bind, hostname, is_loopback, is_number
+from app.serve.inbound import RefusedError, screen, widget_of
+from app.serve.keys import Keys, Role
+from app.serve.seat import Seat
 
-LOOPBACK = frozenset({"localhost", "127.0.0.1", "[::1]"})
 MAX_MESSAGE = 64 * 1024
 """Bytes of the largest inbound message; the largest that the page really sends is about 300."""
 RATE, BURST = 400.0, 800.0
 """Messages per second that a client may send for long, and at once."""
 PATIENCE = 20
-"""Refused messages after which a client is disconnected."""
-SECURITY_HEADERS = {
-    "X-Frame-Options": "DENY",
-    "Content-Security-Policy": "frame-ancestors 'none'; base-uri 'none'; form-action 'none'; object-src 'none'",
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Opener-Policy": "same-origin",
-}
+"""Refused messages after which a client is disconnected; those that were only not its to send do not count."""
+MAX_CLIENTS = 32
+"""Sockets open at once."""
+FOR_ALL = frozenset({"ViewerCameraMessage", "LocalStorageGetItemResponseMessage"})
+"""Messages that touch nothing but their own sender's view: of every visitor, whoever sits in the operator's seat."""
 _construction = threading.Lock()
-
-
-class PageError(HrcError):
-    """The page cannot be served as asked."""
-
-
-def is_loopback(host: str) -> bool:
-    """Whether nothing but this machine reaches an address of that name."""
-    try:
-        return host == "localhost" or ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return False
 
 
 class Guard:
     """Access to one server. Without a token only this machine's own pages get in; with one, whoever presents it.
 
-    refused: how many requests and messages were turned away, by reason.
+    keys: the tokens. names: host names beside this machine's own under which the page may be asked for, which is a matter
+    of DNS rebinding; an IP address needs no permission where there is a token. tls: to serve HTTPS.
+    refused: how many requests and messages were turned away, by reason. seat: who drives.
     """
 
-    def __init__(self, token: str | None = None) -> None:
-        self.token = token
+    def __init__(self, keys: Keys | str | None = None, *, names: Iterable[str] = (), tls: ssl.SSLContext | None = None) -> None:
+        self.keys = keys if isinstance(keys, Keys) else Keys(keys)
+        self.tls = tls
         self.refused: Counter[str] = Counter()
         self.server: viser.ViserServer | None = None
-        self._index: bytes | None = None
+        self.seat = Seat(self.role)
+        self.rate, self.burst = RATE, BURST
+        self._names = LOOPBACK | {name.lower() for name in names}
+        self._free: set[str] = set()
 
-    def open(self, host: str, port: int, label: str) -> viser.ViserServer:
-        """Start a guarded viser server; port 0 takes a free one.
+    def open(self, host: str, port: int | Literal["auto"], label: str) -> viser.ViserServer:
+        """Start a guarded viser server; port 0 takes a free one, "auto" 8080 or the next that is free.
 
         Raises PageError if the port is taken, the address is not this machine's, or others could reach the page
         and there is no token.
         """
-        if not is_loopback(host) and not self.token:
-            raise PageError(f"other machines can reach {host}: set ELBOWROOM_TOKEN to a secret, or use 127.0.0.1")
-        listener = _bind(host, port)
+        if not is_loopback(host) and self.keys.operate is None:
+            raise PageError(f"other machines can reach {host}: give a --token (or set ELBOWROOM_TOKEN), or use 127.0.0.1")
+        listener = bind(host, port)
         stock = websockets_server.serve
 
         def guarded(handler: Any, _host: str, _port: int, **options: Any) -> Any:
             inner = options.pop("process_request")
             options |= {"process_request": lambda connection, request: self._answer(connection, request, inner),
                         "create_connection": lambda *args, **kwargs: ScreenedConnection(self, *args, **kwargs),
-                        "max_size": MAX_MESSAGE, "sock": listener}
+                        "max_size": MAX_MESSAGE, "sock": listener, "ssl": self.tls}
             return stock(handler, **options)
 
+        self._names |= {hostname(host)}
         with _construction, contextlib.redirect_stdout(io.StringIO()):
             websockets_server.serve = guarded
             try:
-                server = viser.ViserServer(host=host, port=port, label=label, verbose=False)
+                server = viser.ViserServer(host=host, port=listener.getsockname()[1], label=label, verbose=False)
             finally:
                 websockets_server.serve = stock
         for tunnel in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
@@ -107,104 +92,145 @@ class Guard:
         self.server = server
         return server
 
+    def free(self, *handles: Any) -> None:
+        """Let every visitor use these widgets and commands, whoever drives."""
+        self._free |= {handle._impl.uuid for handle in handles}
+
+    def bind(self, *handles: Any) -> None:
+        """Let them be used by whoever drives only, as all others are."""
+        self._free -= {handle._impl.uuid for handle in handles}
+
+    def role(self, visitor: int) -> Role | None:
+        """What a connected client may do at most."""
+        connection = self.server._websock_server._live_connections.get(visitor) if self.server is not None else None
+        return connection.role if isinstance(connection, ScreenedConnection) else None
+
+    def admits(self, visitor: int, message: dict[str, Any]) -> bool:
+        """Whether an acceptable message is this visitor's to send now. Whatever is not named as free is the operator's."""
+        return message["type"] in FOR_ALL or message.get("uuid") in self._free or self.seat.admits(visitor)
+
+    def put_back(self, visitor: int, message: dict[str, Any]) -> None:
+        """Show a visitor whose message was not its to send what still holds: its own screen has moved already."""
+        client = self.server._connected_clients.get(visitor) if self.server is not None else None
+        if client is None or self.server is None:
+            return
+        tell = client._websock_connection.queue_message
+        if message["type"] == "GuiUpdateMessage":
+            widget = widget_of(message["uuid"], self.server, visitor)
+            if widget is not None and not widget._impl.is_button:
+                tell(_messages.GuiUpdateMessage(message["uuid"], {"value": widget.value}))
+        elif message["type"] == "TransformControlsDragEndMessage":
+            gizmo = self.server.scene._handle_from_transform_controls_name.get(message["name"])
+            if gizmo is not None:
+                x, y, z = map(float, gizmo.position)
+                w, i, j, k = map(float, gizmo.wxyz)
+                tell(_messages.SetPositionMessage(message["name"], (x, y, z)))
+                tell(_messages.SetOrientationMessage(message["name"], (w, i, j, k)))
+
     def _answer(self, connection: ServerConnection, request: Request,
                 inner: Callable[[ServerConnection, Request], Response | None]) -> Response | None:
         """The reply to an HTTP request; None lets a WebSocket upgrade proceed."""
         host = request.headers.get("Host", "")
-        if self.token is None and _hostname(host) not in LOOPBACK:  # a foreign name that resolves here: DNS rebinding
+        if not self._is_ours(hostname(host)):  # a foreign name that resolves here: DNS rebinding
             return self._refuse(connection, http.HTTPStatus.FORBIDDEN, "Host")
-        if request.headers.get("Upgrade", "").lower() == "websocket":
-            origin = request.headers.get("Origin")  # every browser sends it; a tool on this machine may not
-            if origin is not None and urllib.parse.urlsplit(origin).netloc != host:
-                return self._refuse(connection, http.HTTPStatus.FORBIDDEN, "Origin")
-            if not self._knows_token(connection, request):
-                return self._refuse(connection, http.HTTPStatus.UNAUTHORIZED, "token")
-            return inner(connection, request)
-        if not self._knows_token(connection, request):
+        upgrade = request.headers.get("Upgrade", "").lower() == "websocket"
+        origin = request.headers.get("Origin")  # every browser sends it; a tool may not
+        if upgrade and origin is not None and urllib.parse.urlsplit(origin).netloc != host:
+            return self._refuse(connection, http.HTTPStatus.FORBIDDEN, "Origin")
+        cookie = f"elbowroom_{connection.local_address[1]}"
+        role = self.keys.role(request, cookie)
+        if role is None:
             return self._refuse(connection, http.HTTPStatus.UNAUTHORIZED, "token")
-        url = urllib.parse.urlsplit(request.path)
-        if self.token is not None and "token" in urllib.parse.parse_qs(url.query):
-            return self._keep_token(connection, url)
-        if url.path.startswith("/app/"):
-            response = _file(url.path.removeprefix("/app/"))
-        elif url.path in ("/", "/index.html"):
-            response = self._page(request)
+        if upgrade:
+            assert isinstance(connection, ScreenedConnection)
+            connection.role = role
+            return inner(connection, request)
+        moved = self.keys.keep(request, role, cookie, secure=self.tls is not None)
+        if moved is not None:
+            return moved
+        path = urllib.parse.urlsplit(request.path).path
+        if path.startswith("/app/"):
+            response = content.file(path.removeprefix("/app/"))
+        elif path in ("/", "/index.html"):
+            response = content.page(request)
         else:
             response = inner(connection, request)
-        if response is not None:
-            for name, value in SECURITY_HEADERS.items():
-                response.headers[name] = value
-        return response
+        return None if response is None else content.secured(response, host)
+
+    def _is_ours(self, name: str) -> bool:
+        return name in self._names or (self.keys.operate is not None and is_number(name))
 
     def _refuse(self, connection: ServerConnection, status: http.HTTPStatus, reason: str) -> Response:
         self.refused[reason] += 1
-        return connection.respond(status, f"{reason} not accepted: open the address that the terminal printed\n")
-
-    def _cookie(self, connection: ServerConnection) -> str:
-        return f"elbowroom_{connection.local_address[1]}"
-
-    def _knows_token(self, connection: ServerConnection, request: Request) -> bool:
-        if self.token is None:
-            return True
-        pairs = (part.strip().partition("=") for part in request.headers.get("Cookie", "").split(";"))
-        cookies = {name: value for name, _, value in pairs}
-        query = urllib.parse.parse_qs(urllib.parse.urlsplit(request.path).query)
-        presented = (cookies.get(self._cookie(connection), ""), query.get("token", [""])[0],
-                     request.headers.get("Authorization", "").removeprefix("Bearer "))
-        return any(hmac.compare_digest(value.encode(), self.token.encode()) for value in presented)
-
-    def _keep_token(self, connection: ServerConnection, url: urllib.parse.SplitResult) -> Response:
-        """Move the token from the address, which histories and logs keep, into a cookie that scripts cannot read."""
-        rest = urllib.parse.urlencode([pair for pair in urllib.parse.parse_qsl(url.query) if pair[0] != "token"])
-        cookie = f"{self._cookie(connection)}={self.token}; HttpOnly; SameSite=Strict; Path=/"
-        location = url.path + (f"?{rest}" if rest else "")
-        return Response(302, "Found", Headers({"Location": location, "Set-Cookie": cookie, "Content-Length": "0",
-                                               "Cache-Control": "no-store"}))
-
-    def _page(self, request: Request) -> Response:
-        """viser's single-file client with our title, icon, style and script in its head."""
-        if self._index is None:
-            client = (Path(viser.__file__).parent / "client/build/index.html").read_text(encoding="utf-8")
-            client = re.sub(r'<link\s+rel="icon".*?/>', "", client, count=1, flags=re.DOTALL)
-            head = (static() / "head.html").read_text(encoding="utf-8")
-            self._index = gzip.compress(client.replace("<title>Viser</title>", head, 1).encode())
-        if "gzip" in request.headers.get("Accept-Encoding", ""):
-            return _content(self._index, "text/html; charset=utf-8", "gzip")
-        return _content(gzip.decompress(self._index), "text/html; charset=utf-8")
+        return connection.respond(status, {
+            "Host": "Host not accepted: open the address that the terminal printed, or start with --allow-host NAME\n",
+        }.get(reason, f"{reason} not accepted: open the address that the terminal printed\n"))
 
 
 class ScreenedConnection(ServerConnection):
-    """A WebSocket whose `recv` hands over only messages that pass the table, no faster than the rate allows."""
+    """A WebSocket whose `recv` hands over only messages that pass the table, no faster than the rate allows, and only
+    those that its visitor may send. role: by the token it came with."""
 
     def __init__(self, guard: Guard, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
+        self.role = Role.VIEWER
         self._guard = guard
-        self._credit, self._counted = BURST, time.monotonic()
+        self._credit, self._counted = guard.burst, time.monotonic()
         self._strikes = 0
+        self._visitor: int | None = None
 
     async def recv(self, decode: bool | None = None) -> Any:
         """The next acceptable message. Raises ConnectionClosed, as its parent does."""
+        guard = self._guard
+        if guard.server is None:  # still under construction: nothing to talk to yet
+            await self._hang_up("not ready")
+        if self._visitor is None:
+            await self._enter()
         while True:
             raw = await super().recv(decode)
             now = time.monotonic()
-            self._credit = min(BURST, self._credit + (now - self._counted) * RATE)
+            self._credit = min(guard.burst, self._credit + (now - self._counted) * guard.rate)
             self._counted = now
             if self._credit < 1.0:
-                self._guard.refused["rate"] += 1
+                guard.refused["rate"] += 1
                 await self._hang_up("too many messages")
                 continue
             self._credit -= 1.0
-            if self._guard.server is None:  # still under construction: nothing to talk to yet
-                continue
-            try:
-                screen(raw, self._guard.server)
-            except RefusedError as reason:
-                self._guard.refused[str(reason)] += 1
-                self._strikes += 1
-                if self._strikes > PATIENCE:
-                    await self._hang_up("too many refused messages")
-                continue
-            return raw
+            if self._passes(raw):
+                return raw
+            if self._strikes > PATIENCE:
+                await self._hang_up("too many refused messages")
+
+    def _passes(self, raw: bytes | str) -> bool:
+        guard, visitor = self._guard, self._visitor
+        if guard.server is None or visitor is None:
+            return False
+        try:
+            message = screen(raw, guard.server, visitor)
+        except RefusedError as reason:
+            guard.refused[str(reason)] += 1
+            self._strikes += 1
+            return False
+        if guard.admits(visitor, message):
+            return True
+        guard.refused["not the operator"] += 1
+        guard.put_back(visitor, message)
+        return False
+
+    async def _enter(self) -> None:
+        """Find the number that viser gave this connection, and a place among the others."""
+        assert self._guard.server is not None
+        live = self._guard.server._websock_server._live_connections
+        self._visitor = next((visitor for visitor, connection in list(live.items()) if connection is self), None)
+        if len(live) > MAX_CLIENTS:
+            self._guard.refused["too many clients"] += 1
+            await self._hang_up("too many clients")
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """The transport is gone, and whoever came by it."""
+        if self._visitor is not None:
+            self._guard.seat.leave(self._visitor)
+        super().connection_lost(exc)
 
     async def _hang_up(self, why: str) -> None:
         """Close, and do not wait for the other side: behind a flood its answer may never be read."""
@@ -212,34 +238,3 @@ class ScreenedConnection(ServerConnection):
             await asyncio.wait_for(self.close(1008, why), 0.5)
         except TimeoutError:
             self.transport.abort()
-
-
-def _bind(host: str, port: int) -> socket.socket:
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        return socket.create_server((host.strip("[]"), port), family=family)
-    except OSError as error:
-        if error.errno == errno.EADDRINUSE:
-            raise PageError(f"port {port} of {host} is in use; choose another with --port") from None
-        raise PageError(f"cannot serve on {host} port {port} ({error.strerror})") from None
-    except OverflowError:
-        raise PageError(f"a port is a number from 0 to 65535, not {port}") from None
-
-
-def _hostname(host: str) -> str:
-    """`name` of `name:port`; an IPv6 address keeps its brackets."""
-    return host if host.endswith("]") else host.rsplit(":", 1)[0]
-
-
-def _file(name: str) -> Response:
-    """A file of the static folder, and of no other: a path that leaves it is not found."""
-    name, folder = urllib.parse.unquote(name), static().resolve()
-    path = (folder / name).resolve() if "\0" not in name else folder
-    if not path.is_relative_to(folder) or not path.is_file():
-        return Response(404, "Not Found", Headers({"Content-Length": "0"}), b"")
-    return _content(path.read_bytes(), mimetypes.guess_type(path.name)[0] or "application/octet-stream")
-
-
-def _content(body: bytes, kind: str, encoding: str = "identity") -> Response:
-    return Response(200, "OK", Headers({"Content-Type": kind, "Content-Length": str(len(body)),
-                                        "Content-Encoding": encoding, "Cache-Control": "no-cache"}), body)

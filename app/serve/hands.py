@@ -72,11 +72,15 @@ class Hands:
             grip.heard = time.monotonic()
             self._put(lambda: Pull(link, grip.point, event.end_position))
 
-    async def _on_leave(self, client: viser.ClientHandle) -> None:
+    def let_go_of(self, client_id: int) -> None:
+        """Whatever this client holds: it has left, or drives no longer."""
         with self._lock:
             grip = self._grip
-            if grip is not None and grip.client.client_id == client.client_id:
+            if grip is not None and grip.client.client_id == client_id:
                 self._let_go(grip)
+
+    async def _on_leave(self, client: viser.ClientHandle) -> None:
+        self.let_go_of(client.client_id)
 
     def _hold(self, grip: _Grip, target: Vector) -> None:
         if self._put(lambda: Pull(grip.link, grip.point, target)):

@@ -77,11 +77,15 @@ SCHEMA: dict[str, dict[str, Check]] = {
     "TransformControlsDragEndMessage": {"name": _text},
     "LocalStorageGetItemResponseMessage": {"value": _maybe(_text), "error": _maybe(_text), "request_uuid": _text},
 }
-"""Message type -> field -> check. `owner`, which names the scope of a scene node, may stand in any of them."""
+"""Message type -> field -> check: another kind of message is let in by one more entry, and is the operator's alone unless
+guard.py names it. `owner`, which names the scope of a scene node, may stand in any of them."""
 
 
-def screen(raw: bytes | str, server: viser.ViserServer) -> None:
-    """Check one message as it came over the wire. Raises RefusedError, with the reason, if it must not get in."""
+def screen(raw: bytes | str, server: viser.ViserServer, visitor: int | None = None) -> dict[str, Any]:
+    """Check one message as it came over the wire, and decode it. visitor: its sender, who may have widgets of its own.
+
+    Raises RefusedError, with the reason, if it must not get in.
+    """
     if not isinstance(raw, bytes):
         raise RefusedError("a text frame")
     try:
@@ -91,7 +95,7 @@ def screen(raw: bytes | str, server: viser.ViserServer) -> None:
     kind = message.get("type") if isinstance(message, dict) else None
     schema = SCHEMA.get(kind) if isinstance(kind, str) else None
     if schema is None:
-        raise RefusedError(f"type {str(kind)[:40]}")
+        raise RefusedError("a type the page does not send")
     fields = {key: value for key, value in message.items() if key != "type"}
     if not _text(fields.pop("owner", "")):
         raise RefusedError("owner")
@@ -101,12 +105,21 @@ def screen(raw: bytes | str, server: viser.ViserServer) -> None:
         if not check(fields[name]):
             raise RefusedError(f"{name} of {kind}")
     if kind == "GuiUpdateMessage":
-        _screen_widget(fields["uuid"], fields["updates"]["value"], server)
+        _screen_widget(widget_of(fields["uuid"], server, visitor), fields["updates"]["value"])
+    return message
 
 
-def _screen_widget(uuid: str, value: Any, server: viser.ViserServer) -> None:
-    """A widget's new value must be one that its user could have chosen on the screen."""
+def widget_of(uuid: str, server: viser.ViserServer, visitor: int | None) -> Any:
+    """The handle of a widget that this visitor has on the screen, everybody's or its own; None if it has not."""
     widget = server.gui._gui_input_handle_from_uuid.get(uuid)
+    client = server._connected_clients.get(visitor) if visitor is not None else None
+    if widget is None and client is not None:
+        widget = client.gui._gui_input_handle_from_uuid.get(uuid)
+    return widget
+
+
+def _screen_widget(widget: Any, value: Any) -> None:
+    """A widget's new value must be one that its user could have chosen on the screen."""
     if widget is None:
         raise RefusedError("no such widget")
     props, present = widget._impl.props, widget.value

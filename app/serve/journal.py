@@ -33,6 +33,10 @@ class Journal:
         else:
             self._append(note.time, "event", describe(note.subject), _kind(note.subject))
 
+    def tell(self, what: str) -> None:
+        """A line for something that concerns the page and not the cell."""
+        self._append(self._now(), "event", what, (what,))
+
     def refuse(self, why: str) -> None:
         """A line for something that was not let through."""
         self._append(self._now(), "refused", why, (why,))

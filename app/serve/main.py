@@ -2,7 +2,6 @@
 
 import contextlib
 import io
-import os
 import signal
 import threading
 import webbrowser
@@ -11,6 +10,8 @@ from typing import Any
 
 from viser.theme import TitlebarConfig, TitlebarImage
 
+from app.serve.access import Access
+from app.serve.address import is_loopback
 from app.serve.cameras import CameraView
 from app.serve.distances import DistanceView
 from app.serve.forces import ForceView
@@ -22,6 +23,7 @@ from app.serve.obstacles import ObstacleControls
 from app.serve.panel import Panel
 from app.serve.publisher import Publisher, Screen
 from app.serve.scene import SceneView
+from app.serve.seat_box import SeatBox
 from app.serve.session import Session
 from app.serve.signals import SignalView
 from hrc.cell import scenario as scenarios
@@ -31,16 +33,18 @@ from hrc.vision.kernels import check_device
 LOGO = TitlebarConfig(buttons=None, image=TitlebarImage(
     image_url_light="/app/logo.svg", image_url_dark=None, image_alt="Elbowroom", href=None))
 BRAND = (224, 108, 30)
+OWN = Access()
 
 
 class Page:
     """One server, one cell, any number of browsers."""
 
-    def __init__(self, scenario: str = "free", *, host: str = "127.0.0.1", port: int = 8080, device: str = "cpu",
-                 settings: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), seed: int = 0, token: str | None = None,
+    def __init__(self, scenario: str = "free", access: Access = OWN, *, device: str = "cpu",
+                 settings: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), seed: int = 0,
                  say: Callable[[str], None] = print) -> None:
         """Bind the port and build the page; the cell starts with `start`.
 
+        access: where it is served, and to whom; by default to this machine.
         Raises ScenarioError, ConfigError, AssetError or DeviceError for what cannot be run, and PageError for an address
         that cannot be served.
         """
@@ -50,9 +54,9 @@ class Page:
         self.session = Session(mailbox, device=device, settings=dict(settings), seed=seed, say=say)
         config = self.session.check(scenario)
         rig(config)
-        self.guard = Guard(token)
-        self.server = self.guard.open(host, port, "Elbowroom")
-        self.url = f"http://{host}:{self.server.get_port()}/" + (f"?token={token}" if token else "")
+        self.guard = Guard(access.keys, names=access.names, tls=access.tls)
+        self.server = self.guard.open(access.host, access.port, "Elbowroom")
+        self.url, self.watch_url = access.urls(self.server.get_port())
         self._scenario = scenario
         self.server.gui.configure_theme(titlebar_content=LOGO, dark_mode=True, brand_color=BRAND, show_logo=False,
                                         show_share_button=False)
@@ -67,6 +71,10 @@ class Page:
         panel = Panel(self.server, self.session, scenarios=tuple(listed), scenario=scenario, config=config, look=view.look,
                       layers=layers, obstacles=obstacles, journal=self.journal)
         self._hands = Hands(self.server, self.session, view, self.journal.refuse)
+        self.guard.free(*panel.for_all)
+        self.guard.seat.on_left(self._hands.let_go_of)
+        self.guard.seat.on_left(obstacles.let_go_of)
+        self.seat_box = SeatBox(self.guard, self.server, panel.seat, self.journal.tell)
         screen = Screen(view, forces, cameras, distances, obstacles, panel, signals, self.journal)
         self._publisher = Publisher(self.server, self.session, mailbox, screen, config)
 
@@ -89,23 +97,25 @@ def _switch(part: object, name: str) -> Callable[[bool], None]:
     return lambda shown: setattr(part, name, shown)
 
 
-def serve(scenario: str = "free", host: str = "127.0.0.1", port: int = 8080, device: str = "cpu",
-          settings: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), seed: int = 0, open_browser: bool = False,
-          token: str | None = None) -> None:
+def serve(scenario: str = "free", access: Access = OWN, device: str = "cpu",
+          settings: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), seed: int = 0, open_browser: bool = False) -> None:
     """Serve the page until Ctrl-C or SIGTERM.
 
-    settings: parameters by key, over the scenario's own. token: what a visitor must know when the host is not this
-    machine's own; by default the environment's ELBOWROOM_TOKEN.
+    access: where, and to whom. settings: parameters by key, over the scenario's own.
 
     Raises ScenarioError, ConfigError, AssetError, DeviceError or PageError before anything is served.
     """
     print("loading ...", flush=True)
-    page = Page(scenario, host=host, port=port, device=device, settings=settings, seed=seed,
-                token=token or os.environ.get("ELBOWROOM_TOKEN") or None, say=lambda line: print(line, flush=True))
+    page = Page(scenario, access, device=device, settings=settings, seed=seed, say=lambda line: print(line, flush=True))
     over = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: over.set())
     print(f"Elbowroom is at {page.url} (Ctrl-C ends it)", flush=True)
+    if page.watch_url is not None:
+        print(f"to watch only:  {page.watch_url}", flush=True)
+    if access.tls is None and not is_loopback(access.host):
+        print("this is plain HTTP: whoever can read the network reads the token; --tls-cert and --tls-key serve HTTPS",
+              flush=True)
     page.start()
     if open_browser:
         webbrowser.open(page.url)

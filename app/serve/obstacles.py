@@ -56,6 +56,10 @@ class ObstacleControls:
             if body.present and body.name not in self._asked and np.abs(gizmo.position - position).max() > STILL:
                 gizmo.position = position
 
+    def let_go_of(self, client_id: int) -> None:
+        """The obstacle that this client drags stays where it is."""
+        self._grabbed.pop(client_id, None)
+
     def forget(self) -> None:
         """After a reset nothing is asked for any more."""
         self._asked.clear()

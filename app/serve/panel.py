@@ -17,7 +17,7 @@ from hrc.messages import Mode, Snapshot
 from hrc.parameters import field_of, keys
 
 SLIDERS = {"control.f_relax": "F_relax", "control.f_abort": "F_abort", "push.stiffness": "Push stiffness"}
-UNPLUGGED = "sensor.unplugged"
+UNPLUGGED, REGION = "sensor.unplugged", "exposure.region"
 PLAY = ("Pause", "Play")
 STEP_TICKS = 10
 HINT = """<ul class="eb-hint">
@@ -30,7 +30,10 @@ WIDTH = 320
 
 
 class Panel:
-    """The widgets, and how they follow the cell."""
+    """The widgets, and how they follow the cell.
+
+    for_all: what every visitor may use, whoever drives. seat: the folder in which each is told who does.
+    """
 
     def __init__(self, server: viser.ViserServer, session: Session, *, scenarios: Sequence[str], scenario: str,
                  config: Config, look: Callable[[viser.ClientHandle, str], None],
@@ -38,6 +41,7 @@ class Panel:
         """look: moves one browser's view. layers: what can be shown or not, by its label."""
         self._server, self._session, self._journal, self._config = server, session, journal, config
         self._beat = 0
+        self.for_all: list[Any] = []
         gui = server.gui
         gui.main_panel.dock_left()
         gui.main_panel.set_width(WIDTH)
@@ -46,6 +50,7 @@ class Panel:
                                     hint="The arm stands still until Resume")
         self._resume = gui.add_button("Resume", color="green", icon=viser.Icon.PLAYER_PLAY, visible=False)
         gui.add_html(NO_SAFETY)
+        self.seat = gui.add_folder("Who drives")
         gui.add_html(HINT)
         with gui.add_folder("Run"):
             self._run = gui.add_button_group("Simulation", (PLAY[0], "Step", "Reset"))
@@ -57,6 +62,7 @@ class Panel:
         with tabs.add_tab("Contact", viser.Icon.HAND_FINGER):
             self._inputs: dict[str, viser.GuiInputHandle[Any]] = {
                 key: self._slider(config, key, label) for key, label in SLIDERS.items()}
+            self._inputs[REGION] = self._choice(REGION, "Touches the")
         with tabs.add_tab("Obstacles", viser.Icon.BALL_FOOTBALL):
             obstacles.add_boxes()
         with tabs.add_tab("View", viser.Icon.EYE):
@@ -101,6 +107,13 @@ class Panel:
         box.on_update(self._sets(key))
         return box
 
+    def _choice(self, key: str, label: str) -> viser.GuiDropdownHandle[str]:
+        field, (group, name) = field_of(self._config, key), key.split(".")
+        choice = self._server.gui.add_dropdown(label, field.metadata["options"], initial_value=keys(self._config)[key],
+                                               hint=type(getattr(self._config, group)).docs()[name])
+        choice.on_update(self._sets(key))
+        return choice
+
     def _sets(self, key: str) -> Callable[[Any], Any]:
         async def on_update(event: viser.GuiEvent[Any]) -> None:
             if event.client_id is not None:  # else it was set by `show_parameters`
@@ -112,6 +125,7 @@ class Panel:
                   layers: Mapping[str, Callable[[bool], None]]) -> None:
         gui = self._server.gui
         views = gui.add_button_group("Look from", tuple(VIEWS))
+        self.for_all.append(views)
 
         async def on_look(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
@@ -160,7 +174,9 @@ class Panel:
         self._run.on_click(run)
         self._speed.on_update(speed)
         self._scenario.on_update(scenario)
-        self._server.gui.add_command("Stop the arm", icon=viser.Icon.HAND_STOP).on_trigger(stop)
+        command = self._server.gui.add_command("Stop the arm", icon=viser.Icon.HAND_STOP)
+        command.on_trigger(stop)
+        self.for_all += [self._stop, command]
 
     def _put(self, event: Event) -> None:
         self._try(lambda: self._session.put(event))

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from hrc.cell.clock import Delayed, Rate
 from hrc.cell.eyes import Eyes, Sighting
+from hrc.cell.steering import Steering
 from hrc.cell.task import plan
 from hrc.config import Config
 from hrc.contact.estimate import ContactTracker
@@ -14,10 +15,11 @@ from hrc.contact.friction import friction
 from hrc.contact.proprioception import ResidualLocalizer, SurfaceSamples
 from hrc.contact.residual import Acceleration, Detector, MomentumObserver
 from hrc.contact.zero import ResidualZero
+from hrc.control.posture import Posture
 from hrc.control.reaction import Reaction, Surroundings
 from hrc.control.reference import PathFollower
 from hrc.errors import ConfigError, SensorError
-from hrc.events import Event, Reset, Resume, SetParameter, Stop
+from hrc.events import Event, MoveTarget, Reset, Resume, SetParameter, SetPosture, SetTask, Stop
 from hrc.jacobian import Terms
 from hrc.messages import Command, Contact, Mode, RobotState, Snapshot, Truth
 from hrc.model import Dynamics, perturbed, pinocchio_model
@@ -43,10 +45,13 @@ class Cell:
         self.scene = load_scene(self._initial.scene)
         self._build()
 
-    def step(self) -> Snapshot:
-        """One tick: the robot moves, and whatever is due looks, estimates and decides."""
+    def step(self, dq: Array | None = None) -> Snapshot:
+        """One tick: the robot moves, and whatever is due looks, estimates and decides.
+
+        dq: what the robot moves by [rad/s] (7,) in place of the cell's own command, as in `Driven`.
+        """
         events, refused = self._take_news()
-        state = self._move()
+        state = self._move(self.command.dq if dq is None else dq)
         tick = self.tick = self.tick + 1
         if state.tick == tick:
             self._tau_sum += state.tau
@@ -102,9 +107,9 @@ class Cell:
             self._eyes.expose(tick, self._robot.T_world_link(), self._robot.bodies(), T, T_later)
         return self._eyes.receive(tick)
 
-    def _move(self) -> RobotState:
+    def _move(self, dq: Array) -> RobotState:
         try:
-            self._state = self._robot.step(self.command.dq)
+            self._state = self._robot.step(dq)
         except SensorError as error:
             # What cannot be measured cannot be acted on: the arm stops on its last good reading, whose tick stays behind.
             self._reaction.stop(f"robot: {error}")
@@ -122,6 +127,8 @@ class Cell:
             self._reaction.stop(event.reason)
         elif isinstance(event, Resume):
             self._reaction.resume()
+        elif isinstance(event, (SetTask, MoveTarget, SetPosture)):
+            self._steering.apply(event, self._state, self._reaction.mode)
         else:
             self._robot.apply(event)
         self.log.append((self.tick, event))
@@ -140,7 +147,7 @@ class Cell:
         self._tracker.localizer.config = config.proprioception
         self._tracker.finder.config, self._zero.config = config.pair, config.zero
         self._reaction.config = config.control
-        self._reaction.path.speed = config.task.speed
+        self._steering.configure(config.task)
         self._robot.grip.config, self._robot.obstacles.config = config.push, config.obstacle
         self._eyes.configure(config)
 
@@ -162,7 +169,8 @@ class Cell:
         self._dynamics = Dynamics(perturbed(nominal, config.model.inertial_error, model_rng))
         limits = self._robot.limits
         task = plan(config.task, self._dynamics, limits, self.scene)
-        path, q_start = PathFollower(task.path, config.task.speed), task.q_start
+        path, posture, q_start = PathFollower(task.path, config.task.speed), Posture(task.q_d), task.q_start
+        self._steering = Steering(config.task, task, path, posture, self._dynamics, limits, self.scene)
         self._robot.place(q_start)
 
         if not hasattr(self, "_eyes"):
@@ -179,7 +187,8 @@ class Cell:
             self._surface = SurfaceSamples(config.proprioception.samples, self._dynamics.kinematics(task.q_d)[0])
         localizer = ResidualLocalizer(config.proprioception, self._surface)
         self._tracker = ContactTracker(config.tracker, config.force, localizer, self._dt, config.pair)
-        self._reaction = Reaction(config.control, path, task.q_d, (limits.q_min, limits.q_max, limits.dq_max), self._dt,
+        self.aim = self._steering.aim
+        self._reaction = Reaction(config.control, path, posture, (limits.q_min, limits.q_max, limits.dq_max), self._dt,
                                   task.R_d)
 
         self.tick = 0
@@ -213,6 +222,7 @@ class Cell:
             self.views = self._eyes.views(self.tick)
         if fresh_control:
             self.truth, self.bodies = self._truth(), self._robot.bodies()
+            self.aim = self._steering.aim
         seen = self.seen
         return Snapshot(
             tick=self.tick, time=self.tick / self.config.rates.base_hz, state=state, command=self.command,
@@ -220,4 +230,4 @@ class Cell:
             contact=self.contact, nearest=seen.nearest[0] if seen.nearest else None, touches=seen.touches,
             clearances=seen.clearances, contacts=self.contacts, views=self.views, truth=self.truth, bodies=self.bodies,
             events=events, refused=refused, fresh_control=fresh_control, fresh_frame=fresh_frame,
-            pull=self._robot.grip.pull)
+            pull=self._robot.grip.pull, aim=self.aim)

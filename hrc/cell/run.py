@@ -4,7 +4,6 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Protocol
 
-from hrc.cell.cell import Cell
 from hrc.cell.pace import Pacer
 from hrc.cell.scenario import Scenario
 from hrc.errors import HrcError
@@ -17,6 +16,35 @@ class Observer(Protocol):
 
     def on_step(self, snapshot: Snapshot, /) -> None:
         """One step has been taken."""
+        ...
+
+
+class Steps(Protocol):
+    """What is driven: a `Cell`, or a `Driven` one."""
+
+    @property
+    def tick(self) -> int:
+        """Ticks since the start, or the last Reset."""
+        ...
+
+    def step(self) -> Snapshot:
+        """One tick."""
+        ...
+
+    def apply(self, event: Event) -> None:
+        """Take an event before the next step."""
+        ...
+
+    def refuse(self, event: Event, reason: str) -> None:
+        """Note an event that was not taken."""
+        ...
+
+
+class Source(Protocol):
+    """Where events come from: an `Inbox`, or a `Record`."""
+
+    def take(self, tick: int) -> list[Event]:
+        """Everything due before the step that follows `tick`, in order."""
         ...
 
 
@@ -41,7 +69,25 @@ class Inbox:
         return due
 
 
-def run(cell: Cell, pacer: Pacer, inbox: Inbox, observers: Iterable[Observer], *, until: int,
+class Record:
+    """The events of an earlier run, each before the step before which it was applied then.
+
+    After a Reset the ticks count from 0 again: what follows it waits for that.
+    """
+
+    def __init__(self, events: Iterable[tuple[int, Event]]) -> None:
+        """events: (tick, event) in the order in which they were applied."""
+        self._left = deque(events)
+
+    def take(self, tick: int) -> list[Event]:
+        """The events of this tick up to the next Reset, which is the last then."""
+        due: list[Event] = []
+        while self._left and self._left[0][0] == tick and not (due and isinstance(due[-1], Reset)):
+            due.append(self._left.popleft()[1])
+        return due
+
+
+def run(cell: Steps, pacer: Pacer, inbox: Source, observers: Iterable[Observer], *, until: int,
         stopped: Callable[[], bool] = lambda: False) -> None:
     """Step the cell until its tick is `until`, or `stopped()` says so.
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hrc.cell.reach import outside
 from hrc.control import laws
 from hrc.control.paths import Path
 from hrc.control.reference import TaskConfig, make_path
@@ -15,8 +16,6 @@ from hrc.scene import Scene
 Array = NDArray[np.float64]
 STEP, MOST = 0.05, 200
 """The path is checked every so many metres, at no more points than this."""
-ROOM = 0.01
-"""The end effector keeps this far from the environment [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +38,7 @@ def plan(config: TaskConfig, dynamics: Dynamics, limits: JointLimits, scene: Sce
     path = make_path(config)
     s = np.linspace(0.0, path.length, min(MOST, max(2, round(path.length / STEP))), endpoint=False)
     points = np.array([path.at(v) for v in s])
-    _outside(points, scene)
+    outside(points, scene, "the path")
     centre = points.mean(axis=0) if config.kind == "waypoints" else np.asarray(config.centre)
     q_d = dynamics.solve_position(centre, np.deg2rad(config.posture_deg))
     q = q_start = dynamics.solve_position(points[0], q_d)
@@ -56,11 +55,3 @@ def plan(config: TaskConfig, dynamics: Dynamics, limits: JointLimits, scene: Sce
             raise ConfigError(f"{where} is too fast for the joints: {config.speed:g} m/s would take {fastest:.1f} times their "
                               f"limit; at most {config.speed / fastest:.2f} m/s can be done there")
     return Task(path, q_d, q_start, R)
-
-
-def _outside(points: Array, scene: Scene) -> None:
-    for box in scene.environment:
-        inside = np.all(np.abs(points - np.asarray(box.centre)) < np.asarray(box.half) + ROOM, axis=1)
-        if inside.any():
-            x = points[int(np.argmax(inside))]
-            raise ConfigError(f"the path leads through the {box.name}, at {np.round(x, 3).tolist()} m")

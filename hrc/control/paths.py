@@ -90,6 +90,8 @@ def read_waypoints(file: str) -> Array:
 
     Raises ConfigError, with the line, for a file that is missing or holds anything else.
     """
+    if not file:
+        raise ConfigError("task.waypoints names no file: a text file with x, y, z [m] in each line")
     path = File(file)
     try:
         text = path.read_text(encoding="utf-8")

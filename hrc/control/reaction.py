@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hrc.control import laws
+from hrc.control import guard, laws
 from hrc.control.limits import limited, velocity_bounds
+from hrc.control.posture import Posture
 from hrc.control.reference import PathFollower
 from hrc.errors import ConfigError
 from hrc.geometry import apply, rotation_vector
@@ -102,7 +103,8 @@ class ReactionConfig(Parameters):
     stand_at: float = param(0.05, low=0.0, high=0.9, unit="m")
     """With `separation`, the path stands still from this distance on."""
     floor: float = param(0.08, low=-1.0, high=1.0, unit="m")
-    """While the task is abandoned, the end effector is kept above this height in the null space of the contact."""
+    """While the task is abandoned, elbow, wrist and end effector are kept above this height in the null space of the contact;
+    so are forearm and tool kept off base and upper arm."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -149,17 +151,17 @@ class _Velocity:
 class Reaction:
     """Turns state, residual and contact into the joint velocity command, every control period."""
 
-    def __init__(self, config: ReactionConfig, path: PathFollower, q_d: Array, bounds: tuple[Array, Array, Array],
+    def __init__(self, config: ReactionConfig, path: PathFollower, posture: Posture, bounds: tuple[Array, Array, Array],
                  dt: float, R_d: Array | None = None) -> None:
-        """q_d: desired posture [rad] (7,). bounds: q_min, q_max [rad], dq_max [rad/s]. dt: control period T_c [s].
+        """bounds: q_min, q_max [rad], dq_max [rad/s]. dt: control period T_c [s].
 
         R_d: orientation (3, 3) of the last link that belongs to the task (m = 6); None for a task of positions (m = 3).
         """
         self.config = config
-        self.path = path
+        self.path, self.posture = path, posture
         self.mode = Mode.IDLE
         self.dq = ZERO7
-        self._q_d, self._bounds, self._dt, self._R_d = q_d, bounds, dt, R_d
+        self._bounds, self._dt, self._R_d = bounds, dt, R_d
         self._latch: _Latch | None = None
         self._blend, self._blend_end, self._dq_switch = 0, 0, ZERO7
         self._ramp, self._kept, self._free = 0.0, 1.0, 1.0
@@ -192,9 +194,9 @@ class Reaction:
             wanted, error = self._abandon(q, terms, F, self._latch)
             if detected and contact is None:
                 # The spring back to x_cd would press into whatever is felt there without being seen.
-                wanted = self._reflex(residual)
+                wanted = self._reflex(residual, terms)
         elif self.mode is Mode.UNSEEN:
-            wanted = self._reflex(residual)
+            wanted = self._reflex(residual, terms)
         else:
             wanted, path_speed = self._follow(q, terms, contact, self._allowed(surroundings))
         self._issue(q, self._blended(wanted))
@@ -303,7 +305,7 @@ class Reaction:
             turn = rotation_vector(self._R_d @ terms.T_world_link[-1, :3, :3].T)
             v = np.concatenate([v, laws.saturated(c.k_p * turn, W_RECONNECT)])
         task = J.pinv @ v  # (11)
-        null = J.projector @ laws.posture_velocity(q, self._q_d, c.k_0)  # (12), first branch
+        null = J.projector @ laws.posture_velocity(q, self.posture.advance(self._dt), c.k_0)  # (12), first branch
         if self.mode is Mode.RELAX and contact is not None:  # (12), second branch
             null = self._yielding(J.projector, contact, null)
         null = laws.with_forgetting(null, J.projector, self.dq, self._lam, unit_gain=c.law == "latched")  # (15)
@@ -344,29 +346,21 @@ class Reaction:
         J_c = laws.inverse(terms.J_contact(latch.link, x_c), laws.EPSILON_C)
         error = latch.x_cd - x_c
         task = J_c.pinv @ laws.admittance_velocity(F, error, c.k_a, c.k_e, c.v_contact)  # (6)
-        null = J_c.projector @ (laws.posture_velocity(q, latch.q_cd, c.k_n) + self._floor_guard(terms))  # (7)
+        null = J_c.projector @ (laws.posture_velocity(q, latch.q_cd, c.k_n) + guard.away(terms, c.floor, c.k_p))  # (7)
         if c.law == "printed":
             null = laws.with_forgetting(null, laws.inverse(terms.J).projector, self.dq, self._lam, unit_gain=False)
         else:
             null = laws.with_forgetting(null, J_c.projector, self.dq, self._lam, unit_gain=True)  # (15) with P_c
         return _Velocity(task, null), error
 
-    def _reflex(self, residual: Array) -> _Velocity:
+    def _reflex(self, residual: Array, terms: Terms) -> _Velocity:
         """Yield in the joints, dq = k r: what can be done about a contact without knowing its place."""
-        return _Velocity(ZERO7, self.config.k_reflex * residual)
+        return _Velocity(ZERO7, self.config.k_reflex * residual + guard.away(terms, self.config.floor, self.config.k_p))
 
     @property
     def _lam(self) -> float:
         """lambda of this control period: the same memory in seconds as the paper's at its T_c."""
         return self.config.lam ** (self._dt / PAPER_T_C)
-
-    def _floor_guard(self, terms: Terms) -> Array:
-        """Raises the end effector when it sinks below the floor height: nothing in Eq. (7) holds it up."""
-        depth = self.config.floor - float(terms.x[2])
-        if depth <= 0.0:
-            return ZERO7
-        J_z = terms.J[2]
-        return J_z * (self.config.k_p * depth / float(J_z @ J_z + 1e-3))
 
     def _blended(self, wanted: _Velocity) -> _Velocity:
         """Eq. (14), at the beginning and at the end of an abandoned task."""

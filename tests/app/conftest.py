@@ -32,9 +32,10 @@ def pytest_runtest_makereport(item: pytest.Item) -> Any:
 
 @pytest.fixture(scope="session")
 def served() -> "Iterator[Page]":
-    from app.serve.main import Page  # here, so that tests of the command line do not wait for all that it loads
+    from app.serve.access import Access  # here, so that tests of the command line do not wait for all that it loads
+    from app.serve.main import Page
 
-    page = Page("free", port=0, say=lambda _: None)
+    page = Page("free", Access(port=0), say=lambda _: None)
     page.start()
     yield page
     page.close()
@@ -42,11 +43,13 @@ def served() -> "Iterator[Page]":
 
 @pytest.fixture
 def raw(served: "Page") -> Iterator[VClient]:
-    """A client of the freshly reset page, with the arm on its path."""
+    """A client of the freshly reset page, with the arm on its path; it drives."""
     client = VClient(served.server.get_port())
     assert client.ready.wait(10.0)
     until(lambda: client.banner()["mode"] not in ("starting", "failed"), 120.0)
     served.session.paused = False
+    until(lambda: client.seat())
+    until(lambda: client.seat()["operator"] == "" or client.drives())  # whoever was there before is leaving
     client.click("Resume") if client.banner()["mode"] == "stop" else None
     until(lambda: float(client.banner()["time"]) > 0.3)
     before = float(client.banner()["time"])
@@ -73,8 +76,11 @@ def chromium() -> Iterator[Any]:
 
 
 @pytest.fixture
-def tab(chromium: Any, served: "Page", raw: VClient, request: Any, tmp_path: Path) -> Iterator[Any]:  # noqa: ARG001
-    """A browser tab with the page loaded and the robot drawn; small and coarse, because a CPU renders it."""
+def tab(chromium: Any, served: "Page", raw: VClient, request: Any, tmp_path: Path) -> Iterator[Any]:
+    """A browser tab with the page loaded and the robot drawn; small and coarse, because a CPU renders it. `raw` has given
+    up the seat, so that whoever acts first drives.
+    """
+    raw.hand_back()
     context = chromium.new_context(viewport={"width": 1000, "height": 620})
     context.set_default_timeout(30_000)
     tab, console = context.new_page(), []

@@ -12,7 +12,8 @@ import pytest
 import viser
 from vclient import VClient, until
 
-from app.serve.guard import Guard, PageError
+from app.serve.address import PageError
+from app.serve.guard import Guard
 
 
 @dataclass
@@ -197,18 +198,19 @@ def test_flood_big_messages_and_endless_junk_close_only_that_connection(bench: B
 
 
 def test_token_opens_the_door_and_moves_into_a_cookie() -> None:
-    bench = Bench("s3cret")
+    bench = Bench("s3cret-token")
     try:
         assert bench.get().status == 401
         assert bench.get("/?token=wrong").status == 401
-        moved = bench.get("/?token=s3cret&fixedDpr=1")
+        moved = bench.get("/?token=s3cret-token&fixedDpr=1")
         assert (moved.status, moved.headers["Location"]) == (302, "/?fixedDpr=1")
         cookie = moved.headers["Set-Cookie"]
         assert "HttpOnly" in cookie
         assert "SameSite=Strict" in cookie
         known = {"Cookie": cookie.split(";")[0]}
         assert bench.get(**known).status == 200
-        assert bench.get(host="arm.example:8080", **known).status == 200
+        assert bench.get(host="192.0.2.7:8080", **known).status == 200
+        assert bench.get(host="arm.example:8080", **known).status == 403
         assert not bench.admits()
         assert bench.admits(headers=known)
         assert not bench.admits(headers=known, origin="http://evil.example")
@@ -222,4 +224,4 @@ def test_busy_port_and_open_address_are_clear_errors(bench: Bench) -> None:
     with pytest.raises(PageError, match="ELBOWROOM_TOKEN"):
         Guard().open("0.0.0.0", 0, "test")
     with pytest.raises(PageError, match="cannot serve on 192\\.0\\.2\\.1"):
-        Guard("token").open("192.0.2.1", 0, "test")
+        Guard("s3cret-token").open("192.0.2.1", 0, "test")

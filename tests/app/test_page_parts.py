@@ -87,6 +87,14 @@ def test_banner_escapes_and_changes_with_every_beat() -> None:
     assert "CAPPED" in banner(replace(known, capped=True), 1)
 
 
+def test_banner_shows_the_force_as_a_part_of_what_a_hand_may_bear() -> None:
+    known = Facts("relax", force=35.0, region="hand", limit=140.0)
+    assert 'data-share="25.0"' in banner(known, 1)
+    assert "25 % of 140 N, hand (indicative)" in banner(known, 1)
+    assert 'width:100%"' in banner(replace(known, force=300.0), 1)
+    assert "eb-bar" not in banner(Facts("starting"), 1)
+
+
 def test_points_of_the_sight_are_where_the_camera_saw_them() -> None:
     camera = Camera()
     depth = np.full(camera.shape, np.inf, np.float32)

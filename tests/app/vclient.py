@@ -155,6 +155,23 @@ class VClient:
                 return dict(re.findall(r'data-(\w+)="([^"]*)"', content))
         raise KeyError("banner")
 
+    def seat(self) -> dict[str, str]:
+        """What this visitor is told about who drives: role, visitor, operator, asking. Raises KeyError before that."""
+        for widget in list(self.gui.values()):
+            content = str(widget.get("props", {}).get("content", ""))
+            if 'id="eb-seat"' in content:
+                return dict(re.findall(r'data-(\w+)="([^"]*)"', content))
+        raise KeyError("seat")
+
+    def drives(self) -> bool:
+        """Whether it is the operator."""
+        return self.seat()["role"] == "operator"
+
+    def hand_back(self) -> None:
+        """Give up the seat."""
+        self.click("Release control")
+        until(lambda: not self.drives())
+
     def text(self) -> str:
         """All HTML on the page."""
         return " ".join(str(w.get("props", {}).get("content", "")) for w in list(self.gui.values()))

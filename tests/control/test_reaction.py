@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
+from hrc.control.posture import Posture
 from hrc.control.reaction import OPEN, Reaction, ReactionConfig, Surroundings
 from hrc.control.reference import PathFollower, TaskConfig, make_path
 from hrc.errors import ConfigError
@@ -29,8 +30,8 @@ class Arm:
         q_d = DYNAMICS.solve_position(np.array(task.centre), np.deg2rad(task.posture_deg))
         self.q = DYNAMICS.solve_position(path.x_d, q_d)
         self.R_d = self.tool
-        self.reaction = Reaction(config or ReactionConfig(), path, q_d, (LIMITS.q_min, LIMITS.q_max, LIMITS.dq_max), DT,
-                                 self.tool if upright else None)
+        self.reaction = Reaction(config or ReactionConfig(), path, Posture(q_d),
+                                 (LIMITS.q_min, LIMITS.q_max, LIMITS.dq_max), DT, self.tool if upright else None)
         self.dq = np.zeros(7)
         self.jump = 0.0
 

@@ -1,0 +1,134 @@
+"""The folder of a run: what makes it run again, and its signals. docs/recording.md lists the files."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.output import MARK
+from app.record.signals import Columns, read_parquet, write_parquet
+from hrc.config import Config
+from hrc.errors import ConfigError, EventError, HrcError
+from hrc.events import Event, Reset, from_dict, to_dict
+from hrc.messages import Snapshot
+from hrc.parameters import assembled, keys
+
+EVENTS, SIGNALS = "events.jsonl", "signals.parquet"
+
+
+class SessionError(HrcError):
+    """A folder is not that of a run, or of another version."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An event before the step that followed `tick`. refused: why it was not taken, if so.
+
+    A Reset stands at the tick at which it came; from there the ticks count from 0 again.
+    """
+
+    tick: int
+    event: Event
+    refused: str = ""
+
+
+class EventLog:
+    """An observer that keeps every event; it must see a session from its start, for a replay begins there."""
+
+    def __init__(self) -> None:
+        self.entries: list[Entry] = []
+        self._last = 0
+
+    def on_step(self, snapshot: Snapshot) -> None:
+        """Take the events of this step."""
+        for event in snapshot.events:
+            self.entries.append(Entry(self._last if isinstance(event, Reset) else snapshot.tick - 1, event))
+        self.entries += [Entry(snapshot.tick - 1, event, reason) for event, reason in snapshot.refused]
+        self._last = snapshot.tick
+
+    @property
+    def taken(self) -> list[Entry]:
+        """Without those that were refused."""
+        return [entry for entry in self.entries if not entry.refused]
+
+    @property
+    def refused(self) -> list[Entry]:
+        """Those that were refused."""
+        return [entry for entry in self.entries if entry.refused]
+
+
+@dataclass(frozen=True)
+class Session:
+    """A run read back. about: scenario, seed, device, versions. events: those that were taken, in order."""
+
+    folder: Path
+    config: Config
+    about: Mapping[str, Any]
+    events: tuple[Entry, ...]
+    columns: Columns
+
+
+def write(folder: Path, config: Config, about: Mapping[str, Any], columns: Columns, events: Sequence[Entry]) -> None:
+    """Write config.json, events.jsonl and signals.parquet, which are enough to run the session again.
+
+    config: at the start. about: goes into config.json and signals.parquet, with the `device` at least.
+    """
+    write_parquet(folder / SIGNALS, columns, about)
+    write_json(folder / MARK, {**about, "parameters": keys(config)})
+    lines = [{"tick": e.tick, "event": to_dict(e.event), **({"refused": e.refused} if e.refused else {})} for e in events]
+    (folder / EVENTS).write_text("".join(json.dumps(line) + "\n" for line in lines))
+
+
+def read(folder: Path) -> Session:
+    """The session again. Raises SessionError for what is no folder of a run, and for one of another version."""
+    for name in (MARK, EVENTS, SIGNALS):
+        if not (folder / name).is_file():
+            raise SessionError(f"{folder} is not the folder of a run: it has no {name}")
+    try:
+        about = json.loads((folder / MARK).read_text(encoding="utf-8"))
+        parameters = about.pop("parameters")
+        if not isinstance(parameters, dict):
+            raise TypeError
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        raise SessionError(f"{folder / MARK} does not hold the parameters of a run") from None
+    try:
+        config = assembled(Config(), parameters)
+    except ConfigError as error:
+        raise SessionError(f"{folder / MARK} is of another version, {about.get('elbowroom', 'unknown')}: {error}") from None
+    try:
+        columns = read_parquet(folder / SIGNALS)
+    except (OSError, ValueError) as error:  # pyarrow's own errors are among these
+        raise SessionError(f"{folder / SIGNALS} cannot be read: {error}") from None
+    return Session(folder, config, about, tuple(_events(folder / EVENTS)), columns)
+
+
+def _events(path: Path) -> list[Entry]:
+    entries: list[Entry] = []
+    tick = 0
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        try:
+            values = json.loads(line)
+            entry = Entry(values["tick"], from_dict(values["event"]), values.get("refused", ""))
+        except (ValueError, KeyError, TypeError, AttributeError, EventError) as error:
+            raise SessionError(f"{path}, line {number}, is no event of a run: {error}") from None
+        if entry.refused:
+            continue
+        if not isinstance(entry.tick, int) or entry.tick < tick:
+            raise SessionError(f"{path}, line {number}: tick {entry.tick} cannot follow tick {tick}")
+        tick = 0 if isinstance(entry.event, Reset) else entry.tick
+        entries.append(entry)
+    return entries
+
+
+def write_json(path: Path, values: Mapping[str, Any]) -> None:
+    """Write a table of figures; what numpy counts is a plain number there."""
+    path.write_text(json.dumps(values, indent=1, allow_nan=False, default=_plain) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{value!r} is not JSON")
