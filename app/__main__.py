@@ -102,16 +102,17 @@ def run(scenario: Annotated[Positional[str], arg(metavar="SCENARIO")], out: Path
 @commands.command
 def replay(folder: Annotated[Positional[Path], arg(metavar="FOLDER")], exact: FlagCreatePairsOff[bool] = False,
            settings: Settings = (), out: Path | None = None, device: str | None = None,
-           overwrite: FlagCreatePairsOff[bool] = False) -> None:
+           overwrite: FlagCreatePairsOff[bool] = False, depth: Literal["rendered", "recorded"] = "rendered") -> None:
     """Run a recorded session again: exactly, or with other parameters of what sees, feels and decides.
 
     Args:
         folder: What `run` has written.
         exact: Run robot and all again from config, seed and events, and compare every bit.
         settings: Parameters to change, as vision.margin=0.02; the robot moves as recorded.
-        out: Folder to write, with signals and metrics; it must not exist.
+        out: Folder to write: signals, metrics, and session.rrd, which `review` lays over the recorded one.
         device: Compute device of the vision, cpu or cuda:0; by default the one of the session.
         overwrite: Replace the folder of an earlier replay.
+        depth: Where depth images come from: rendered anew, or recorded, which needs a run with --depth full.
     """
     if exact and (settings or out):
         raise HrcError("an exact replay changes and writes nothing; leave --exact out for one with --set or --out")
@@ -123,11 +124,58 @@ def replay(folder: Annotated[Positional[Path], arg(metavar="FOLDER")], exact: Fl
         raise SystemExit(0 if identical else 1)
     from app.open_loop import Job, execute, table
 
-    found = execute(Job(folder, _flat(settings), out, device, overwrite))
+    found = execute(Job(folder, _flat(settings), out, device, overwrite, depth))
     print(table(found))
     print(f"{found.changed or 'every bit as recorded'}; at {found.factor:.1f} x real time")
     if found.changed is not None and not settings:
         raise SystemExit(1)
+
+
+@commands.command
+def review(folders: Annotated[Positional[tuple[Path, ...]], arg(metavar="FOLDER")], port: int = 0,
+           native: FlagCreatePairsOff[bool] = False, open_browser: FlagCreatePairsOff[bool] = False) -> None:
+    """Look at recordings in Rerun's viewer: in the browser, served to this machine alone, or in its own window.
+
+    Args:
+        folders: What `run` has written; a replay beside its recording is drawn over it.
+        port: Port to listen on; 0 takes a free one.
+        native: Open the native viewer.
+        open_browser: Open the page in the default browser.
+    """
+    from app.review import review as show
+
+    if not folders:
+        raise HrcError("name a folder that `run` has written")
+    show(folders, port=port, in_native=native, open_browser=open_browser)
+
+
+@commands.command
+def report(folders: Annotated[Positional[tuple[Path, ...]], arg(metavar="FOLDER")], out: Path = Path("report.html"),
+           overwrite: FlagCreatePairsOff[bool] = False) -> None:
+    """Write one HTML page about sessions, with all in it: figures, metrics, parameters, and what differs between them.
+
+    Args:
+        folders: What `run` or `replay` has written; the others are compared with the first.
+        out: File to write.
+        overwrite: Replace the file if it exists.
+    """
+    from app.session_report import write
+
+    write(folders, out, overwrite=overwrite)
+    print(out)
+
+
+@commands.command
+def repair(file: Annotated[Positional[Path], arg(metavar="FILE.rrd")]) -> None:
+    """Make a recording readable again whose writer was killed: cut off what it had not written to the end.
+
+    Args:
+        file: The recording.
+    """
+    from app.record.repair import repair as mend
+
+    found = mend(file)
+    print(f"{file}: cut {found.torn} of {found.size} bytes" if found.torn else f"{file} is whole; nothing to do")
 
 
 @commands.command
@@ -153,15 +201,17 @@ def compare(scenario: Annotated[Positional[str], arg(metavar="SCENARIO")], out: 
 
 
 @commands.command
-def bench(what: Annotated[Positional[Literal["speed", "accuracy", "contact"]], arg(metavar="speed|accuracy|contact")] = "speed",
+def bench(what: Annotated[Positional[Literal["speed", "accuracy", "contact", "yielding", "web"]],
+                          arg(metavar="speed|accuracy|contact|yielding|web")] = "speed",
           json: Annotated[Path | None, arg(metavar="FILE")] = None, device: str = "cpu",
           quick: FlagCreatePairsOff[bool] = False, hours: float = 0.0, settings_file: SettingsFile = None) -> None:
     """Measure on this machine: the speed of perception beside what one would use instead, its accuracy, or what is felt.
 
     Args:
-        what: speed, on one core; accuracy, of the contact point and of the filter; or contact: force, delay, false alarms.
+        what: speed, on one core; accuracy, of the contact point and of the filter; contact: force, delay, false alarms;
+            yielding: what relaxing is worth; web: what the page costs, and how quick it is, for one and three clients.
         json: File for all figures with their conditions.
-        device: Measured beside the CPU (speed), or used (accuracy, contact): cpu or cuda:0.
+        device: Measured beside the CPU (speed), or used: cpu or cuda:0.
         quick: Few frames or pushes, to see that it works.
         hours: Of free motion with calibrated thresholds (contact); calibrated first if there is no settings file.
         settings_file: TOML file that calibrate wrote (contact).
@@ -173,10 +223,36 @@ def bench(what: Annotated[Positional[Literal["speed", "accuracy", "contact"]], a
         return
     if what == "accuracy":
         from app.bench.accuracy import bench as measure
+    elif what == "yielding":
+        from app.bench.yielding import bench as measure
+    elif what == "web":
+        from app.bench.web import bench as measure
     else:
         from app.bench.speed import bench as measure
 
     measure(device=device, json=json, quick=quick)
+
+
+@commands.command
+def soak(hours: float = 1.0, out: Path | None = None, json: Annotated[Path | None, arg(metavar="FILE")] = None, seed: int = 0,
+         rotate: float = 5.0, browsers: int = 2) -> None:
+    """Serve the page to visitors who come, push, stall and leave at random, and see whether it stays as it was.
+
+    Memory, descriptors, threads, real-time factor and dropped images over time; exit code 1 if they do not hold.
+
+    Args:
+        hours: How long.
+        out: Folder for the recording, of which the last three files stay; a temporary one by default.
+        json: File for all samples.
+        seed: Seed of the cell's noise, and of what the visitors do.
+        rotate: Minutes that one file of the recording holds.
+        browsers: Chromiums that watch.
+    """
+    from app.endurance.soak import Job
+    from app.endurance.soak import soak as endure
+
+    if endure(Job(hours, out, json, seed, rotate, browsers)):
+        raise SystemExit(1)
 
 
 @commands.command

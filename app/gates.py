@@ -99,20 +99,21 @@ def _gate(file: str, name: str, bounds: Mapping[str, Any]) -> Gate:
 
 def judge(gates: Sequence[Gate], figures: Mapping[str, Any]) -> list[Verdict]:
     """Each gate with its figure. Raises GateError for a figure that there is not."""
-    flat = dict(_flat(figures))
+    known = dict(flat(figures))
     verdicts = []
     for gate in gates:
-        if gate.figure not in flat:
-            raise GateError(unknown("figure", gate.figure, flat))
-        value = flat[gate.figure]
+        if gate.figure not in known:
+            raise GateError(unknown("figure", gate.figure, known))
+        value = known[gate.figure]
         verdicts.append(Verdict(gate, value, gate.holds(value)))
     return verdicts
 
 
-def _flat(figures: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def flat(figures: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Each figure by its dotted name, as `force.links_4_to_7.median_error_N`."""
     for key, value in figures.items():
         if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{key}.")
+            yield from flat(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
 

@@ -13,6 +13,7 @@ from app import metrics, output, settings
 from app.interrupt import Interrupt
 from app.record.folder import EventLog, write, write_json
 from app.record.signals import SignalTable
+from app.record.tape import TapeTable
 from hrc.cell import pace, scenario
 from hrc.cell.cell import Cell
 from hrc.cell.run import Inbox, Observer, run
@@ -76,10 +77,10 @@ def execute(job: Job) -> dict[str, Any]:
     _say(job, "building the cell (the very first time its kernels compile, about 5 s) ...")
     cell = Cell(config, job.device)
     about = {"scenario": script.name, "preset": job.preset, "seed": config.seed, "device": job.device, **versions()}
-    table, log = SignalTable(), EventLog()
+    table, log, tape = SignalTable(), EventLog(), TapeTable()
     with output.folder(job.out, overwrite=job.overwrite) as folder:
         recorder = _recorder(job, folder / "session.rrd", cell, about) if job.record else None
-        observers: list[Observer] = [table, log, *([recorder] if recorder else [])]
+        observers: list[Observer] = [table, log, tape, *([recorder] if recorder else [])]
         clock.lap("set_up")
         try:
             interrupted = _drive(job, cell, Inbox(script, config.rates.base_hz), observers, end)
@@ -92,6 +93,7 @@ def execute(job: Job) -> dict[str, Any]:
                    "counts": _counts(cell, table, log, recorder),
                    "refused": [f"{type(entry.event).__name__}: {entry.refused}" for entry in log.refused]}
         write(folder, config, about, columns, log.entries)
+        tape.write(folder)
         _draw(folder, script.name, columns, config)
         clock.lap("write")
         figures["wall_s"] = clock.laps

@@ -80,14 +80,19 @@ def _ee_error(columns: Columns, mode: Mode) -> dict[str, Any]:
             "rms_m": float(np.sqrt(np.mean(error**2))) if error.size else None}
 
 
+def pressed(columns: Columns) -> Mask:
+    """Ticks with a true contact force above `FIRM`."""
+    return np.linalg.norm(columns["force_true"], axis=1) > FIRM
+
+
 def firm(columns: Columns) -> Mask:
-    """Ticks with a true contact force above `FIRM` whose point a noise-free camera would see."""
-    return (np.linalg.norm(columns["force_true"], axis=1) > FIRM) & columns["contact_visible"]
+    """Those of them whose point a noise-free camera would see."""
+    return pressed(columns) & columns["contact_visible"]
 
 
 def _localisation(columns: Columns) -> dict[str, Any]:
     truth = columns["contact_link_true"]
-    judged, hidden_too = firm(columns), np.linalg.norm(columns["force_true"], axis=1) > FIRM
+    judged, hidden_too = firm(columns), pressed(columns)
     return {**_places(columns, judged), "ticks_firm": int(hidden_too.sum()), "any": _places(columns, hidden_too),
             "by_link": {int(link): _places(columns, judged & (truth == link)) for link in np.unique(truth[judged])}}
 
@@ -103,10 +108,11 @@ def _places(columns: Columns, judged: Mask) -> dict[str, Any]:
 
 
 def _force(columns: Columns) -> dict[str, Any]:
-    truth = columns["contact_link_true"]
-    judged = firm(columns) & (columns["contact_link_est"] >= 0)
-    by_link = {link: _forces(columns, judged & (truth == link)) for link in range(4, 8)}
-    return {"links_4_to_7": _forces(columns, judged & (truth >= 4)), "by_link": by_link}
+    truth, located = columns["contact_link_true"], columns["contact_link_est"] >= 0
+    judged, hidden_too = firm(columns) & located, pressed(columns) & located
+    return {"links_4_to_7": _forces(columns, judged & (truth >= 4)),
+            "by_link": {link: _forces(columns, judged & (truth == link)) for link in range(4, 8)},
+            "any": {"links_4_to_7": _forces(columns, hidden_too & (truth >= 4))}}
 
 
 def _forces(columns: Columns, judged: Mask) -> dict[str, Any]:

@@ -1,26 +1,33 @@
 """`elbowroom replay --set`: the recorded robot and images again, seen, felt and decided upon with other parameters.
 
-The robot repeats its recorded commands, so q, dq, tau and the depth images are those of the session, bit for bit, and only
-perception, estimation and the reaction's decisions are new. What the arm would have done next nobody can tell from a
-recording: the decisions are answers to the recorded motion.
+What the robot measured is on the tape that `run` keeps; without one, as beside a recording of the page, the session runs again
+first. Depth images are rendered anew, with the noise of the seed, or come from the recording. Only perception, estimation and
+the reaction's decisions are new. What the arm would have done next nobody can tell from a recording: the decisions are answers
+to the recorded motion.
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from app import metrics, output, settings
 from app.record.folder import Session, SessionError, write, write_json
 from app.record.signals import Columns
-from app.replay import OPEN_LOOP, Difference, again, difference, opened, other_versions
+from app.record.tape import ROBOT, TapeTable, read_tape
+from app.replay import OPEN_LOOP, Difference, again, difference, opened, other_versions, tail
+from app.review import recordings
 from hrc.cell.cell import Cell
-from hrc.cell.driven import Driven
+from hrc.cell.eyes import rig
+from hrc.cell.playback import Images, PlayedCell, Tape
+from hrc.config import Config
 from hrc.errors import ConfigError, unknown
 from hrc.parameters import keys, replaced
+from hrc.scene import load_scene
 from hrc.vision.kernels import check_device
 
 GROUPS = ("model", "vision", "observer", "zero", "friction", "proprioception", "tracker", "pair", "force", "control")
@@ -29,9 +36,9 @@ KEYS = ("rates.localize_hz", "rates.localize_latency_s")
 GIVEN = ("tick", "t", "q", "dq", "tau", "force_true", "contact_point_true", "contact_link_true")
 """Signals that are none of the estimator's: a replay that does not give them again is none of this session."""
 SHOWN = (
-    "aborts", "ee_error.relax.max_m", "localisation.ticks_with_estimate", "localisation.right_link",
+    "aborts", "localisation.ticks_with_estimate", "localisation.right_link",
     "localisation.median_point_error_m", "localisation.any.right_link", "localisation.any.median_point_error_m",
-    "force.links_4_to_7.ticks", "force.links_4_to_7.median_error_N", "force.links_4_to_7.median_relative_error",
+    "force.any.links_4_to_7.ticks", "force.any.links_4_to_7.median_error_N", "force.any.links_4_to_7.median_relative_error",
     "clearance_min_m", "contact_power_min_relax_W")
 
 
@@ -44,6 +51,7 @@ class Job:
     out: Path | None = None
     device: str | None = None
     overwrite: bool = False
+    depth: Literal["rendered", "recorded"] = "rendered"
 
 
 @dataclass(frozen=True)
@@ -76,19 +84,59 @@ def execute(job: Job) -> Replay:
         output.check(job.out, overwrite=job.overwrite)
     device = job.device or session.about.get("device", "cpu")
     check_device(device)
-    driven = Driven(Cell(config, device), session.columns["dq_command"], changes)
-    begin = time.perf_counter()
-    columns = again(driven, session)
-    wall = time.perf_counter() - begin
+    tape = _tape(session, device)
+    with _images(job.depth, session) as images:
+        cell = PlayedCell(config, tape, device, changes, images, {entry.tick for entry in session.events})
+        begin = time.perf_counter()
+        every = again(cell, session)
+        wall = time.perf_counter() - begin
+    columns = tail(every, session.skipped)
     if (given := difference(session.columns, columns, GIVEN.__contains__)) is not None:
         raise SessionError(f"the recorded motion does not come out again: {given}{other_versions(session)}")
-    seconds = len(columns["t"]) / config.rates.control_hz
-    replay = Replay(session, columns, metrics.compute(columns), metrics.compute(session.columns),
-                    difference(session.columns, columns), seconds / wall)
+    seconds = len(every["t"]) / config.rates.control_hz
+    replay = Replay(session, columns, _figures(columns), _figures(session.columns), difference(session.columns, columns),
+                    seconds / wall)
     if job.out is not None:
         _write(job.out, replay, {**session.about, "device": device, OPEN_LOOP: str(job.folder), "changes": changes}, config,
                overwrite=job.overwrite)
     return replay
+
+
+def _tape(session: Session, device: str) -> Tape:
+    """What `run` has kept, or what comes of running the session again."""
+    scene = load_scene(session.config.scene)
+    if (session.folder / ROBOT).is_file() and not session.skipped:
+        try:
+            return read_tape(session.folder, session.columns, scene)
+        except (OSError, ValueError, KeyError) as error:
+            raise SessionError(f"{session.folder / ROBOT} cannot be read: {error}") from None
+    table = TapeTable()
+    columns = again(Cell(session.config, device), session, table)
+    if (found := difference(session.columns, tail(columns, session.skipped))) is not None:
+        raise SessionError(f"the session does not come out again: {found}{other_versions(session)}")
+    return table.tape(columns, scene)
+
+
+def _in_millimetres(config: Config) -> bool:
+    """Whether recorded depth is all that the cameras have measured."""
+    return all(setup.sensor.quantum == 0.001 for setup in rig(config))
+
+
+@contextmanager
+def _images(depth: str, session: Session) -> Iterator[Images | None]:
+    """Where depth images come from: None renders them."""
+    if depth == "rendered":
+        yield None
+        return
+    from app.record.images import RecordedImages  # here, because rerun takes half a second and is an extra
+
+    if session.skipped:
+        raise SessionError(f"{session.folder} was recorded from its middle on; --depth rendered has the images before, too")
+    if not _in_millimetres(session.config):
+        raise SessionError(f"{session.folder} has its depth in whole mm, which is not all that its cameras measured; "
+                           "--depth rendered has")
+    with RecordedImages(recordings([session.folder])) as images:
+        yield images
 
 
 def free(key: str, known: Mapping[str, Any]) -> str:
@@ -101,12 +149,22 @@ def free(key: str, known: Mapping[str, Any]) -> str:
     return key
 
 
-def _write(out: Path, replay: Replay, about: Mapping[str, Any], config: Any, *, overwrite: bool) -> None:
+def _figures(columns: Columns) -> dict[str, Any]:
+    """Without the end effector's error: a reference that waits for an arm which moves as recorded says nothing."""
+    return {name: value for name, value in metrics.compute(columns).items() if name != "ee_error"}
+
+
+def _write(out: Path, replay: Replay, about: Mapping[str, Any], config: Config, *, overwrite: bool) -> None:
     with output.folder(out, overwrite=overwrite) as folder:
         write(folder, config, about, replay.columns, replay.session.events)
         write_json(folder / "metrics.json", {
             **about, "real_time_factor": replay.factor, **replay.figures,
             "changed_control_ticks": replay.changed.ticks if replay.changed else 0})
+        if (recording := replay.session.folder / "session.rrd").is_file():
+            from app.record import overlay  # here, because rerun takes half a second and is an extra
+
+            overlay.write(folder / recording.name, recording, replay.columns, tick_ns=1_000_000_000 // config.rates.base_hz,
+                          cameras=[setup.name for setup in rig(config)])
 
 
 def table(replay: Replay) -> str:
@@ -116,20 +174,20 @@ def table(replay: Replay) -> str:
     other = int((old["state"] != new["state"]).sum())
     contact = (old["contact_link_est"] >= 0) | (new["contact_link_est"] >= 0)
     links = int((old["contact_link_est"] != new["contact_link_est"]).sum())
-    lines = [f"{'mode':<42}{other} of {rows} control ticks are in another mode",
-             f"{'contact':<42}{links} of {int(contact.sum())} control ticks with a contact have another link, or none"]
+    lines = [f"{'mode':<46}{other} of {rows} control ticks are in another mode",
+             f"{'contact':<46}{links} of {int(contact.sum())} control ticks with a contact have another link, or none"]
     strength = [np.linalg.norm(c["force_est"], axis=1) for c in (old, new)]
     both = (old["contact_link_est"] >= 0) & (new["contact_link_est"] >= 0)
     if both.any():
         shift = np.linalg.norm(old["force_est"] - new["force_est"], axis=1)[both]
         apart = np.linalg.norm(old["contact_point_est"] - new["contact_point_est"], axis=1)[both]
-        lines += [f"{'force':<42}changed by {np.median(shift):.2f} N (median), {shift.max():.2f} N (most)",
-                  f"{'point':<42}changed by {1e3 * np.median(apart):.1f} mm (median), {1e3 * apart.max():.1f} mm (most)"]
-    lines.append(f"{'':<42}{'recorded':>16}{'replayed':>16}")
-    lines.append(f"{'largest estimated force [N]':<42}" + "".join(
+        lines += [f"{'force':<46}changed by {np.median(shift):.2f} N (median), {shift.max():.2f} N (most)",
+                  f"{'point':<46}changed by {1e3 * np.median(apart):.1f} mm (median), {1e3 * apart.max():.1f} mm (most)"]
+    lines.append(f"{'':<46}{'recorded':>16}{'replayed':>16}")
+    lines.append(f"{'largest estimated force [N]':<46}" + "".join(
         f"{_shown(float(np.nanmax(s)) if np.isfinite(s).any() else None):>16}" for s in strength))
     for name in SHOWN:
-        lines.append(f"{name:<42}{_shown(at(replay.recorded, name)):>16}{_shown(at(replay.figures, name)):>16}")
+        lines.append(f"{name:<46}{_shown(at(replay.recorded, name)):>16}{_shown(at(replay.figures, name)):>16}")
     lines += [f"story, {name}: {' > '.join(figures['story'])}"
               for name, figures in (("recorded", replay.recorded), ("replayed", replay.figures))]
     return "\n".join(lines)

@@ -14,7 +14,7 @@ from app.record.folder import Session, SessionError, read
 from app.record.signals import Columns, SignalTable
 from hrc.cell.cell import Cell
 from hrc.cell.pace import FreeRun
-from hrc.cell.run import Record, Steps, run
+from hrc.cell.run import Observer, Record, run
 
 OPEN_LOOP = "open_loop_of"
 """In config.json of what an open-loop replay writes: it is no run of its own."""
@@ -40,10 +40,9 @@ def exact(folder: Path, device: str | None = None) -> tuple[str, bool]:
     """
     session = opened(folder)
     cell = Cell(session.config, device or session.about.get("device", "cpu"))
-    columns = again(cell, session)
-    found = difference(session.columns, columns)
+    found = difference(session.columns, tail(again(cell, session), session.skipped))
     if found is None:
-        return f"identical, 0 differing ticks of {len(columns['tick'])}", True
+        return f"identical, 0 differing ticks of {len(session.columns['tick'])}", True
     return f"{found}{other_versions(session)}", False
 
 
@@ -57,12 +56,17 @@ def opened(folder: Path) -> Session:
     return session
 
 
-def again(cell: Steps, session: Session) -> dict[str, NDArray[Any]]:
-    """The signals of as many control ticks as the session has, under its events."""
-    table, rows = SignalTable(), len(session.columns["tick"])
+def again(cell: Cell, session: Session, *observers: Observer) -> dict[str, NDArray[Any]]:
+    """The signals of the session's control ticks, and of all before them, under its events."""
+    table, rows = SignalTable(), session.skipped + len(session.columns["tick"])
     record = Record((entry.tick, entry.event) for entry in session.events)
-    run(cell, FreeRun(), record, [table], until=sys.maxsize, stopped=lambda: len(table) >= rows)
-    return {name: values[:rows] for name, values in table.columns().items()}
+    run(cell, FreeRun(1), record, [table, *observers], until=sys.maxsize, stopped=lambda: len(table) >= rows)
+    return table.columns()
+
+
+def tail(columns: Columns, skipped: int) -> Columns:
+    """Without the first rows, of control ticks before the recording began."""
+    return {name: values[skipped:] for name, values in columns.items()}
 
 
 def difference(recorded: Columns, replayed: Columns, names: Callable[[str], bool] = lambda _: True) -> Difference | None:

@@ -280,6 +280,8 @@ class Snapshot:
     clearances: tuple[Clearance, ...] = ()
     contacts: tuple[Contact, ...] = ()
     aim: Aim = field(default_factory=lambda: Aim("hold", np.zeros(7)))
+    exposed: "tuple[Array, tuple[Body, ...]] | None" = None
+    """What a camera took a frame of at this very tick, if one did: true poses of the links (8, 4, 4), obstacles. Truth."""
 
     def __post_init__(self) -> None:
         read_only(self.T_world_link, self.residual)

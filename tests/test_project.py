@@ -50,7 +50,7 @@ def imported(folder: str) -> set[str]:
 
 @pytest.mark.parametrize(("folder", "extras", "groups"), [
     ("hrc", (), ()),
-    ("app", ("page", "record"), ()),
+    ("app", ("page", "record", "bench"), ()),
     ("assets", ("page", "record"), ("dev",)),
     ("tests", ("page", "record"), ("dev",)),
 ])

@@ -1,4 +1,4 @@
-"""Measurements: how fast perception is on this machine (speed), and how right (accuracy)."""
+"""Measurements: how fast perception is and how right, what is felt, and what the page costs."""
 
 import ctypes
 import os

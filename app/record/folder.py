@@ -17,6 +17,8 @@ from hrc.messages import Snapshot
 from hrc.parameters import assembled, keys
 
 EVENTS, SIGNALS = "events.jsonl", "signals.parquet"
+SKIPPED = "control_ticks_before"
+"""In config.json: the control ticks that the cell had taken when the recording began."""
 
 
 class SessionError(HrcError):
@@ -62,13 +64,17 @@ class EventLog:
 
 @dataclass(frozen=True)
 class Session:
-    """A run read back. about: scenario, seed, device, versions. events: those that were taken, in order."""
+    """A run read back. about: scenario, seed, device, versions. events: those that were taken, in order.
+
+    columns: signals from when the recording began; the cell had taken `skipped` control ticks by then.
+    """
 
     folder: Path
     config: Config
     about: Mapping[str, Any]
     events: tuple[Entry, ...]
     columns: Columns
+    skipped: int = 0
 
 
 def write(folder: Path, config: Config, about: Mapping[str, Any], columns: Columns, events: Sequence[Entry]) -> None:
@@ -102,7 +108,10 @@ def read(folder: Path) -> Session:
         columns = read_parquet(folder / SIGNALS)
     except (OSError, ValueError) as error:  # pyarrow's own errors are among these
         raise SessionError(f"{folder / SIGNALS} cannot be read: {error}") from None
-    return Session(folder, config, about, tuple(_events(folder / EVENTS)), columns)
+    skipped = about.get(SKIPPED, 0)
+    if not isinstance(skipped, int) or skipped < 0:
+        raise SessionError(f"{folder / MARK}: {SKIPPED} must be a whole number, not {skipped!r}")
+    return Session(folder, config, about, tuple(_events(folder / EVENTS)), columns, skipped)
 
 
 def _events(path: Path) -> list[Entry]:

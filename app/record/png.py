@@ -32,5 +32,19 @@ def encode(image: NDArray[np.uint16]) -> bytes:
         _chunk(b"IHDR", header), _chunk(b"IDAT", zlib.compress(rows.tobytes(), 1)), _chunk(b"IEND", b"")])
 
 
+def decode(data: bytes) -> NDArray[np.uint16]:
+    """The image (H, W) of a PNG that `encode` has made. Raises ValueError for any other."""
+    parts, at = dict[bytes, bytes](), 8
+    while at + 8 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, at)
+        parts[kind], at = data[at + 8 : at + 8 + length], at + 12 + length
+    width, height, bits, colour, *_ = struct.unpack(">IIBBBBB", parts.get(b"IHDR", bytes(13)))
+    rows = np.frombuffer(zlib.decompress(parts.get(b"IDAT", zlib.compress(b""))), np.uint8)
+    if (bits, colour) != (16, 0) or rows.size != height * (1 + 2 * width) or (rows[:: 1 + 2 * width] != _SUB).any():
+        raise ValueError("no 16-bit greyscale PNG with one data chunk and the Sub filter")
+    differences = rows.reshape(height, 1 + 2 * width)[:, 1:].reshape(height, width, 2)
+    return np.cumsum(differences, axis=1, dtype=np.uint8).view(">u2")[..., 0].astype(np.uint16)
+
+
 def _chunk(kind: bytes, body: bytes) -> bytes:
     return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))

@@ -24,8 +24,8 @@ from hrc.vision.camera import Camera
 Depth = Literal["none", "sampled", "full"]
 SAMPLED_HZ = 5
 """Depth images a second that a sampled recording keeps of each camera."""
-_BLOCK = 100
-"""Rows a block: half a second of signals."""
+_BLOCK = 50
+"""Rows a block: a quarter of a second of signals, which a crash may cost."""
 _POSE_EVERY = 4
 """Poses are kept at every fourth control tick (50 Hz)."""
 _IMAGES = 8

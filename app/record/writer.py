@@ -229,7 +229,7 @@ class SessionWriter:
         self._log_static(entities.depth(name), rr.EncodedDepthImage.from_fields(
             media_type="image/png", meter=1000.0, colormap="viridis", depth_range=[500.0, 4500.0],
             point_fill_ratio=0.5))
-        self._log_static(entities.camera_state(name), _states(entities.CAMERA_COLOURS))
+        self._log_static(entities.camera_state(name), states(entities.CAMERA_COLOURS))
 
     def _log_styles(self) -> None:
         for entity, colour, radius in (
@@ -242,22 +242,24 @@ class SessionWriter:
         self._log_static(entities.DISTANCES, rr.LineStrips3D.from_fields(radii=[0.0025]))
         self._log_static(entities.TOUCHES, rr.Points3D.from_fields(radii=[0.014]))
         for signal in PLOTTED:
-            self._log_static(f"{entities.SIGNALS}/{signal.name}", _series(signal.name, signal.width))
-        self._log_static(entities.STATE, _states({mode.value: colour for mode, colour in entities.MODES.items()}))
+            self._log_static(f"{entities.SIGNALS}/{signal.name}", series(signal.name, signal.width))
+        self._log_static(entities.STATE, states({mode.value: colour for mode, colour in entities.MODES.items()}))
 
     def _log_static(self, entity: str, archetype: Any) -> None:
         self._stream.log(entity, archetype, static=True)
 
 
-def _states(colours: Mapping[str, palette.Colour]) -> rr.StateConfiguration:
+def states(colours: Mapping[str, palette.Colour]) -> rr.StateConfiguration:
+    """How a state timeline looks."""
     names = list(colours)
     return rr.StateConfiguration(values=names, labels=names, colors=[(*colour, 255) for colour in colours.values()])
 
 
-def _series(name: str, width: int) -> rr.SeriesLines:
+def series(name: str, width: int, suffix: str = "") -> rr.SeriesLines:
+    """How the curves of a signal look; those with a suffix are fainter."""
     single = palette.LINKS[int(name[-1])] if name.startswith("clearance_") else entities.SIGHT
     curves = {7: entities.JOINTS, 3: entities.AXES, 1: (single,)}[width]
     axes = {7: [f" {joint}" for joint in range(1, 8)], 3: [" x", " y", " z"], 1: [""]}[width]
-    secondary = name.endswith(("_true", "_desired", "_command"))
+    secondary = bool(suffix) or name.endswith(("_true", "_desired", "_command"))
     colours = [entities.dimmed(colour) if secondary else colour for colour in curves]
-    return rr.SeriesLines(names=[name + axis for axis in axes], colors=colours, widths=[1.2] * width)
+    return rr.SeriesLines(names=[name + axis + suffix for axis in axes], colors=colours, widths=[1.2] * width)

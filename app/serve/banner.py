@@ -1,20 +1,25 @@
 """The banner: what the arm is doing, in one coloured card; the same facts stand in its data attributes for scripts."""
 
 import math
+import time
 from dataclasses import dataclass
 from html import escape
 
 from app.serve.session import Phase, Session
 from hrc.config import Config
+from hrc.geometry import Array
 from hrc.messages import LINKS, Contact, Mode, Snapshot
 
 STALE = '<div class="eb-stale">NO CONNECTION TO THE SERVER: WHAT YOU SEE IS OLD</div>'
+NEAR = 0.005
+"""The end effector is at its target when it is this near [m]."""
 
 
 @dataclass(frozen=True)
 class Facts:
     """What the banner says. mode: of the arm, or of the session while there is no arm. force, truth: |F| [N].
 
+    task: its kind; off: of the end effector from the target that it follows [m], if it follows one.
     limit: of the quasi-static force on a region of the body [N]. nearest, clearance: the link that is nearest to an obstacle,
     and how near [m]. silent: which of the cameras are.
     """
@@ -29,6 +34,8 @@ class Facts:
     limit: float = math.inf
     nearest: str = "-"
     clearance: float = math.inf
+    task: str = "-"
+    off: float = math.nan
     silent: tuple[str, ...] = ()
     cameras: int = 1
     time: float = 0.0
@@ -56,6 +63,8 @@ def facts(session: Session, snapshot: Snapshot | None, config: Config) -> Facts:
         limit=config.exposure.limit,
         nearest="-" if nearest is None else LINKS[nearest.link],
         clearance=snapshot.clearance,
+        task=snapshot.aim.kind,
+        off=math.nan if snapshot.aim.target is None else math.dist(command.x, snapshot.aim.target),
         silent=tuple(view.camera for view in snapshot.views if view.silent),
         cameras=len(snapshot.views),
         time=snapshot.time,
@@ -66,12 +75,17 @@ def facts(session: Session, snapshot: Snapshot | None, config: Config) -> Facts:
 
 
 def banner(known: Facts, beat: int) -> str:
-    """The card as HTML. `beat` differs from call to call, so that the browser starts the stale animation again."""
+    """The card as HTML. `beat` differs from call to call, so that the browser starts the stale animation again.
+
+    data-sent tells when [s since the epoch], for whoever measures how long it takes to arrive.
+    """
     data = {
         "mode": known.mode, "link": known.link, "place": known.place, "force": f"{known.force:.2f}",
         "truth": f"{known.truth:.2f}", "nearest": known.nearest, "clearance": f"{known.clearance:.3f}",
+        "task": known.task, "off": f"{known.off:.4f}",
         "silent": ",".join(known.silent), "time": f"{known.time:.3f}", "factor": f"{known.factor:.2f}",
-        "capped": str(known.capped).lower(), "paused": str(known.paused).lower(), "beat": str(beat)}
+        "capped": str(known.capped).lower(), "paused": str(known.paused).lower(), "beat": str(beat),
+        "sent": f"{time.time():.4f}"}
     attributes = " ".join(f'data-{key}="{escape(value)}"' for key, value in data.items())
     capped = ' <span class="eb-capped">CAPPED</span>' if known.capped else ""
     link, near = (name.replace("_", " ") for name in (known.link, known.nearest))
@@ -140,4 +154,12 @@ def _note(snapshot: Snapshot, paused: bool, abort_distance: float) -> str:
         return f"waiting: an obstacle is {100.0 * snapshot.clearance:.1f} cm away, nearer than {100.0 * abort_distance:.0f} cm"
     if command.mode is Mode.ABORT:
         return "task abandoned; following the push"
-    return "following the path" if command.path_speed > 0.99 else "rejoining the path"
+    if snapshot.aim.goal is not None and snapshot.aim.target is not None:
+        return _steered(command.x, snapshot.aim.target, snapshot.aim.goal)
+    return "following the path" if command.path_speed > 0.99 and snapshot.aim.arrived else "going to the path"
+
+
+def _steered(x: Array, target: Array, goal: Array) -> str:
+    if math.dist(x, goal) > NEAR:
+        return "going to its target"
+    return "at its target" if math.dist(goal, target) < NEAR else "as near to its target as it gets straight from here"

@@ -78,7 +78,7 @@ SCHEMA: dict[str, dict[str, Check]] = {
     "LocalStorageGetItemResponseMessage": {"value": _maybe(_text), "error": _maybe(_text), "request_uuid": _text},
 }
 """Message type -> field -> check: another kind of message is let in by one more entry, and is the operator's alone unless
-guard.py names it. `owner`, which names the scope of a scene node, may stand in any of them."""
+guard.py names it. `owner`, the scope of a scene node, may stand beside the node's `name`."""
 
 
 def screen(raw: bytes | str, server: viser.ViserServer, visitor: int | None = None) -> dict[str, Any]:
@@ -97,8 +97,8 @@ def screen(raw: bytes | str, server: viser.ViserServer, visitor: int | None = No
     if schema is None:
         raise RefusedError("a type the page does not send")
     fields = {key: value for key, value in message.items() if key != "type"}
-    if not _text(fields.pop("owner", "")):
-        raise RefusedError("owner")
+    if "name" in schema and not _text(fields.pop("owner", "")):
+        raise RefusedError(f"owner of {kind}")
     if set(fields) != set(schema):
         raise RefusedError(f"fields of {kind}")
     for name, check in schema.items():

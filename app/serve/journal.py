@@ -1,5 +1,6 @@
 """The log of the page: events, changes of mode and refusals, newest first, in words."""
 
+import math
 from collections import deque
 from collections.abc import Callable
 from html import escape
@@ -29,7 +30,7 @@ class Journal:
             self._append(note.time, "mode", note.subject.value.upper() + why, (note.subject, note.time))
         elif note.refused:
             name = type(note.subject).__name__
-            self._append(note.time, "refused", f"{name} refused: {note.refused}", (name, note.refused))
+            self._append(note.time, "refused", f"{name} refused: {note.refused}", ("refused", *_kind(note.subject)))
         else:
             self._append(note.time, "event", describe(note.subject), _kind(note.subject))
 
@@ -71,6 +72,12 @@ def describe(event: events.Event) -> str:
             return f"{name} presses {LINKS[link]}"
         case events.SetParameter(key=key, value=value):
             return f"{key} = {value:g}" if isinstance(value, float) else f"{key} = {value}"
+        case events.SetTask(kind=kind):
+            return f"task: {kind}"
+        case events.MoveTarget(position=(x, y, z)):
+            return f"target to ({x:.2f}, {y:.2f}, {z:.2f}) m"
+        case events.SetPosture(q=q):
+            return f"posture: {', '.join(f'{math.degrees(angle):.0f}' for angle in q)} deg"
         case events.Stop(reason=reason):
             return f"stop: {reason}"
         case _:

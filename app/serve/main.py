@@ -5,7 +5,7 @@ import io
 import signal
 import threading
 import webbrowser
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from viser.theme import TitlebarConfig, TitlebarImage
@@ -26,8 +26,10 @@ from app.serve.scene import SceneView
 from app.serve.seat_box import SeatBox
 from app.serve.session import Session
 from app.serve.signals import SignalView
+from app.serve.steering import Steering
 from hrc.cell import scenario as scenarios
 from hrc.cell.eyes import rig
+from hrc.cell.run import Observer
 from hrc.vision.kernels import check_device
 
 LOGO = TitlebarConfig(buttons=None, image=TitlebarImage(
@@ -41,17 +43,17 @@ class Page:
 
     def __init__(self, scenario: str = "free", access: Access = OWN, *, device: str = "cpu",
                  settings: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), seed: int = 0,
-                 say: Callable[[str], None] = print) -> None:
+                 say: Callable[[str], None] = print, observers: Sequence[Observer] = ()) -> None:
         """Bind the port and build the page; the cell starts with `start`.
 
-        access: where it is served, and to whom; by default to this machine.
+        access: where it is served, and to whom; by default to this machine. observers: see every snapshot.
         Raises ScenarioError, ConfigError, AssetError or DeviceError for what cannot be run, and PageError for an address
         that cannot be served.
         """
         check_device(device)
         mailbox = Mailbox()
         self.journal = Journal(lambda: mailbox.latest.time if mailbox.latest is not None else 0.0)
-        self.session = Session(mailbox, device=device, settings=dict(settings), seed=seed, say=say)
+        self.session = Session(mailbox, device=device, settings=dict(settings), seed=seed, say=say, observers=observers)
         config = self.session.check(scenario)
         rig(config)
         self.guard = Guard(access.keys, names=access.names, tls=access.tls)
@@ -63,19 +65,20 @@ class Page:
         view, forces, cameras = SceneView(self.server), ForceView(self.server), CameraView(self.server)
         distances, signals = DistanceView(self.server), SignalView(self.server)
         obstacles = ObstacleControls(self.server, self.session, view, self.journal.refuse)
+        steering = Steering(self.server, self.session, self.journal.refuse)
         listed = dict.fromkeys((*scenarios.names(), scenario))
         layers = {
             "Forces": _switch(forces, "show_forces"), "Distances and touches": _switch(distances, "show_distances"),
             "Foreground points": _switch(cameras, "show_cloud"), "Depth cameras": _switch(cameras, "show_cameras"),
             "Camera images": _switch(signals.images, "show_images"), "Path of the tool": _switch(view, "show_trail")}
         panel = Panel(self.server, self.session, scenarios=tuple(listed), scenario=scenario, config=config, look=view.look,
-                      layers=layers, obstacles=obstacles, journal=self.journal)
+                      layers=layers, obstacles=obstacles, steering=steering, journal=self.journal)
         self._hands = Hands(self.server, self.session, view, self.journal.refuse)
         self.guard.free(*panel.for_all)
         self.guard.seat.on_left(self._hands.let_go_of)
         self.guard.seat.on_left(obstacles.let_go_of)
         self.seat_box = SeatBox(self.guard, self.server, panel.seat, self.journal.tell)
-        screen = Screen(view, forces, cameras, distances, obstacles, panel, signals, self.journal)
+        screen = Screen(view, forces, cameras, distances, obstacles, steering, panel, signals, self.journal)
         self._publisher = Publisher(self.server, self.session, mailbox, screen, config)
 
     def start(self) -> None:

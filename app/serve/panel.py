@@ -10,6 +10,7 @@ from app.serve.journal import Journal
 from app.serve.obstacles import ObstacleControls
 from app.serve.scene import VIEWS
 from app.serve.session import Session
+from app.serve.steering import Steering
 from hrc.config import Config
 from hrc.errors import HrcError
 from hrc.events import Event, Resume, SetParameter, Stop
@@ -23,6 +24,7 @@ STEP_TICKS = 10
 HINT = """<ul class="eb-hint">
 <li><b>Push the arm:</b> drag a link with the left mouse button. Gently it gives way, hard it abandons
 its task. The arm goes on along its path while the hand stays: move with it.</li>
+<li><b>Steer:</b> choose the task <i>follow</i> and drag the arrows at the tool, or use the arrow keys.</li>
 <li><b>Bring an obstacle:</b> drag the blue ball, or its arrows, into the arm: the depth camera sees it.</li>
 <li><b>Look around:</b> drag the background; the wheel zooms. <b>Esc</b> stops the arm.</li></ul>"""
 NO_SAFETY = '<div class="eb-small">Stops the simulated arm. Not a safety function.</div>'
@@ -37,7 +39,8 @@ class Panel:
 
     def __init__(self, server: viser.ViserServer, session: Session, *, scenarios: Sequence[str], scenario: str,
                  config: Config, look: Callable[[viser.ClientHandle, str], None],
-                 layers: Mapping[str, Callable[[bool], None]], obstacles: ObstacleControls, journal: Journal) -> None:
+                 layers: Mapping[str, Callable[[bool], None]], obstacles: ObstacleControls, steering: Steering,
+                 journal: Journal) -> None:
         """look: moves one browser's view. layers: what can be shown or not, by its label."""
         self._server, self._session, self._journal, self._config = server, session, journal, config
         self._beat = 0
@@ -58,6 +61,7 @@ class Panel:
                                          hint="Simulated seconds per second")
             self._scenario = gui.add_dropdown("Scenario", tuple(scenarios), initial_value=scenario,
                                               hint="A choice starts a new cell")
+            steering.add_task(config)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Contact", viser.Icon.HAND_FINGER):
             self._inputs: dict[str, viser.GuiInputHandle[Any]] = {
@@ -65,6 +69,8 @@ class Panel:
             self._inputs[REGION] = self._choice(REGION, "Touches the")
         with tabs.add_tab("Obstacles", viser.Icon.BALL_FOOTBALL):
             obstacles.add_boxes()
+        with tabs.add_tab("Posture", viser.Icon.STRETCHING):
+            steering.add_posture()
         with tabs.add_tab("View", viser.Icon.EYE):
             self._add_view(look, layers)
         with tabs.add_tab("Log", viser.Icon.LIST):

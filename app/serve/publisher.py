@@ -21,10 +21,11 @@ from app.serve.panel import Panel
 from app.serve.scene import SceneView
 from app.serve.session import Session
 from app.serve.signals import SignalView
+from app.serve.steering import Steering
 from hrc.cell.eyes import rig
 from hrc.config import Config
 from hrc.errors import ConfigError
-from hrc.events import Reset, SetParameter
+from hrc.events import Event, Reset, SetParameter
 from hrc.messages import Snapshot
 from hrc.parameters import replaced
 from hrc.scene import load_scene
@@ -43,6 +44,7 @@ class Screen:
     cameras: CameraView
     distances: DistanceView
     obstacles: ObstacleControls
+    steering: Steering
     panel: Panel
     signals: SignalView
     journal: Journal
@@ -80,10 +82,10 @@ class Publisher:
                 self._closing.wait(1.0)
 
     def _publish(self, beat: int) -> None:
-        snapshot = self._mailbox.latest
         if self._session.config is not None and self._session.config is not self._begun:
             self._begin(self._session.config)
         self._read_notes()
+        snapshot = self._mailbox.latest  # after the notes: what they tell of has happened in it
         watched = bool(self._server.get_clients())
         if beat % PANEL_EVERY == 0:
             self._screen.panel.update(snapshot)
@@ -99,6 +101,7 @@ class Publisher:
             self._screen.cameras.update(snapshot)
         if beat % PANEL_EVERY == 1:
             self._screen.obstacles.update(snapshot)
+            self._screen.steering.update(snapshot)
             control = self._config.control
             self._screen.signals.update_plot(self._mailbox.forces(), control.f_relax, control.f_abort)
         if beat % IMAGE_EVERY == 1:
@@ -110,9 +113,12 @@ class Publisher:
         """The log, and what follows from an event: sliders show what the cell has, not what was asked for."""
         for note in self._mailbox.take_notes():
             self._screen.journal.add(note)
+            if isinstance(note.subject, Event):
+                self._screen.steering.heard(note.subject)
             if isinstance(note.subject, Reset) and self._begun is not None:
                 self._adopt(self._begun)
                 self._screen.obstacles.forget()
+                self._screen.steering.begin(self._begun)
                 self._screen.view.forget_trail()
             elif isinstance(note.subject, SetParameter):
                 self._set(note.subject, refused=bool(note.refused))
@@ -133,6 +139,7 @@ class Publisher:
         self._screen.cameras.begin(cameras)
         self._screen.signals.images.begin(cameras)
         self._screen.obstacles.forget()
+        self._screen.steering.begin(config)
         self._adopt(config)
 
     def _adopt(self, config: Config) -> None:

@@ -4,7 +4,7 @@ import queue
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -13,7 +13,7 @@ from app.serve.mailbox import Mailbox
 from hrc.cell import scenario
 from hrc.cell.cell import Cell
 from hrc.cell.pace import RealTime
-from hrc.cell.run import Inbox, run
+from hrc.cell.run import Inbox, Observer, run
 from hrc.config import Config
 from hrc.errors import HrcError
 from hrc.events import Event, MoveObstacle, Press, Reset, Resume, Stop
@@ -45,15 +45,16 @@ class Session:
     """A cell that runs in real time in a thread of its own, one scenario after another.
 
     settings: `group.name` -> value, over each scenario's own. say: told what is going on, for the terminal.
-    config: the running cell's, at its start; None before the first.
+    observers: see every snapshot beside the mailbox. config: the running cell's, at its start; None before the first.
     """
 
     def __init__(self, mailbox: Mailbox, *, device: str = "cpu", settings: Mapping[str, Any] | None = None,
-                 seed: int = 0, say: Callable[[str], None] = print) -> None:
+                 seed: int = 0, say: Callable[[str], None] = print, observers: Sequence[Observer] = ()) -> None:
         self.config: Config | None = None
         self.scenario = ""
         self.status = Status(Phase.STARTING, "starting")
         self._mailbox, self._device, self._seed, self._say = mailbox, device, seed, say
+        self._observers = (mailbox, *observers)
         self._settings = dict(settings or {})
         self._wanted: queue.Queue[str | None] = queue.Queue()
         self._inbox: Inbox | None = None
@@ -171,4 +172,4 @@ class Session:
         self.config, self._pacer, self._inbox = config, pacer, inbox
         self.status = Status(Phase.RUNNING)
         self._say(f'"{name}" is running')
-        run(cell, pacer, inbox, (self._mailbox,), until=sys.maxsize, stopped=self._leave.is_set)
+        run(cell, pacer, inbox, self._observers, until=sys.maxsize, stopped=self._leave.is_set)

@@ -21,7 +21,7 @@ from hrc.control.reference import PathFollower
 from hrc.errors import ConfigError, SensorError
 from hrc.events import Event, MoveTarget, Reset, Resume, SetParameter, SetPosture, SetTask, Stop
 from hrc.jacobian import Terms
-from hrc.messages import Command, Contact, Mode, RobotState, Snapshot, Truth
+from hrc.messages import Body, Command, Contact, Mode, RobotState, Snapshot, Truth
 from hrc.model import Dynamics, perturbed, pinocchio_model
 from hrc.parameters import field_of, replaced
 from hrc.scene import load_scene
@@ -45,13 +45,10 @@ class Cell:
         self.scene = load_scene(self._initial.scene)
         self._build()
 
-    def step(self, dq: Array | None = None) -> Snapshot:
-        """One tick: the robot moves, and whatever is due looks, estimates and decides.
-
-        dq: what the robot moves by [rad/s] (7,) in place of the cell's own command, as in `Driven`.
-        """
+    def step(self) -> Snapshot:
+        """One tick: the robot moves, and whatever is due looks, estimates and decides."""
         events, refused = self._take_news()
-        state = self._move(self.command.dq if dq is None else dq)
+        state = self._move()
         tick = self.tick = self.tick + 1
         if state.tick == tick:
             self._tau_sum += state.tau
@@ -71,7 +68,7 @@ class Cell:
         terms = self._terms = self._dynamics.terms(state.q, state.dq)
         self.residual = self._observe(state, terms)  # (2)
         self.detected = self._detector.update(
-            self.residual, self._acceleration.update(self.command.dq, self.config.observer.k_i))  # (4)
+            self.residual, self._acceleration.update(self._commanded, self.config.observer.k_i))  # (4)
         seen = self.seen = self._sighted()  # (8)-(9)
         self.contact = self._tracker.update(  # (5), (10)
             self.residual, self._detector, seen.nearest, terms, keep=self._reaction.mode is Mode.ABORT,
@@ -100,16 +97,30 @@ class Cell:
 
     def _look(self, tick: int) -> bool:
         """Expose the cameras that are due; filter the robot out of what arrives, with q as it was at the frame's stamp."""
+        self.exposed = None
         if self._eyes.due(tick):
+            self.exposed = self._before_cameras()
             q, dq = self._state.q, self._state.dq
             T = self._dynamics.kinematics(q)[0]
             T_later = self._dynamics.kinematics(q + dq * self.config.vision.skew)[0]
-            self._eyes.expose(tick, self._robot.T_world_link(), self._robot.bodies(), T, T_later)
+            self._eyes.expose(tick, *self.exposed, T, T_later)
         return self._eyes.receive(tick)
 
-    def _move(self, dq: Array) -> RobotState:
+    @property
+    def _commanded(self) -> Array:
+        """What the robot moves by [rad/s] (7,)."""
+        return self.command.dq
+
+    def _before_cameras(self) -> tuple[Array, tuple[Body, ...]]:
+        """What a camera takes a frame of: true poses of the links (8, 4, 4), and the obstacles."""
+        return self._robot.T_world_link(), self._bodies()
+
+    def _bodies(self) -> tuple[Body, ...]:
+        return self._robot.bodies()
+
+    def _move(self) -> RobotState:
         try:
-            self._state = self._robot.step(dq)
+            self._state = self._robot.step(self._commanded)
         except SensorError as error:
             # What cannot be measured cannot be acted on: the arm stops on its last good reading, whose tick stays behind.
             self._reaction.stop(f"robot: {error}")
@@ -174,7 +185,7 @@ class Cell:
         self._robot.place(q_start)
 
         if not hasattr(self, "_eyes"):
-            self._eyes = Eyes(self.scene, config, self.device)
+            self._eyes = self._open_eyes(config)
         self._eyes.begin(config)
         self._localize, self._control = Rate(rates.localize_hz, base), Rate(rates.control_hz, base)
         self._sighting: Delayed[Sighting] = Delayed(round(rates.localize_latency_s * base))
@@ -192,6 +203,7 @@ class Cell:
                                   task.R_d)
 
         self.tick = 0
+        self.exposed: tuple[Array, tuple[Body, ...]] | None = None
         self.log: list[tuple[int, Event]] = []
         self.history: deque[Snapshot] = deque(maxlen=round(HISTORY_S * rates.control_hz))
         self._news: list[Event] = []
@@ -205,6 +217,9 @@ class Cell:
         self.residual, self.detected = np.zeros(7), False
         self.truth, self.bodies = self._robot.truth(), self._robot.bodies()
         self.command = Command(Mode.IDLE, np.zeros(7), self._terms.x, path.x_d, np.zeros(3))
+
+    def _open_eyes(self, config: Config) -> Eyes:
+        return Eyes(self.scene, config, self.device)
 
     def _mean_tau(self) -> Array:
         mean = self._tau_sum / (self.config.rates.base_hz // self.config.rates.control_hz)
@@ -221,7 +236,7 @@ class Cell:
         if fresh_control or fresh_frame:
             self.views = self._eyes.views(self.tick)
         if fresh_control:
-            self.truth, self.bodies = self._truth(), self._robot.bodies()
+            self.truth, self.bodies = self._truth(), self._bodies()
             self.aim = self._steering.aim
         seen = self.seen
         return Snapshot(
@@ -230,4 +245,4 @@ class Cell:
             contact=self.contact, nearest=seen.nearest[0] if seen.nearest else None, touches=seen.touches,
             clearances=seen.clearances, contacts=self.contacts, views=self.views, truth=self.truth, bodies=self.bodies,
             events=events, refused=refused, fresh_control=fresh_control, fresh_frame=fresh_frame,
-            pull=self._robot.grip.pull, aim=self.aim)
+            pull=self._robot.grip.pull, aim=self.aim, exposed=self.exposed)

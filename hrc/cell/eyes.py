@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,18 +87,47 @@ def _since(tick: int, seen: tuple[Seen, ...]) -> tuple[Seen, ...]:
     return tuple(x for x in seen if x.stamp >= tick)
 
 
+class Sensor(Protocol):
+    """What delivers the frames: a `DepthCamera`, where the methods are explained, or a recording of one."""
+
+    def configure(self, config: SensorConfig, /) -> None:
+        """Take changed live parameters."""
+        ...
+
+    def expose(self, tick: int, T_world_link: Array, bodies: Sequence[Body], /) -> bool:
+        """Take a frame; whether it will come."""
+        ...
+
+    def latest(self, tick: int, /) -> DepthFrame | None:
+        """The newest frame that has arrived."""
+        ...
+
+    def sees(self, p_world: Array, /) -> bool:
+        """Whether a perfect camera would see the point."""
+        ...
+
+
+MakeSensor = Callable[[CameraSetup, Scene, int, str], Sensor]
+"""From a camera's setup, the scene, the seed of its noise, and the device."""
+
+
+def simulated(setup: CameraSetup, scene: Scene, seed: int, device: str) -> DepthCamera:
+    """A camera that renders the scene."""
+    return DepthCamera(Camera(setup.camera), scene.environment, (*scene.bodies, HAND), setup.sensor, seed=seed,
+                       latency=setup.sensor.latency, device=device)
+
+
 class Eye:
     """One camera: its frames, the robot's poses that belong to them, and its localizer."""
 
-    def __init__(self, setup: CameraSetup, scene: Scene, config: Config, device: str) -> None:
-        self.name, self._scene, self._device = setup.name, scene, device
+    def __init__(self, setup: CameraSetup, scene: Scene, config: Config, device: str, sensor: MakeSensor = simulated) -> None:
+        self.name, self._scene, self._device, self._make_sensor = setup.name, scene, device, sensor
         self._localizer = Localizer(Camera(setup.camera), scene.environment, config.vision, device, name=setup.name)
         self.begin(setup, config, config.seed)
 
     def begin(self, setup: CameraSetup, config: Config, seed: int) -> None:
         """Start anew: no frame yet, the sensor as in its setup."""
-        self._sensor = DepthCamera(Camera(setup.camera), self._scene.environment, (*self._scene.bodies, HAND),
-                                   setup.sensor, seed=seed, latency=setup.sensor.latency, device=self._device)
+        self._sensor = self._make_sensor(setup, self._scene, seed, self._device)
         self._rate = Rate(setup.hz, config.rates.base_hz)
         self._poses: dict[int, tuple[Array, Array]] = {}
         self._frame: DepthFrame | None = None
@@ -145,8 +174,10 @@ class Eye:
         """Whether the newest frame is too old to say anything about now."""
         return tick - self._heard > self._silent
 
-    def view(self, tick: int) -> View:
+    def view(self, tick: int, *, images: bool) -> View:
         """The newest frame and what was made of it."""
+        if not images:
+            return View(self.name, self._frame, silent=self.silent(tick))
         return View(self.name, self._frame, self._localizer.foreground, self._localizer.robot_image, self.silent(tick))
 
     def sees(self, p_world: Array) -> bool:
@@ -157,10 +188,12 @@ class Eye:
 class Eyes:
     """The rig. trouble: what was wrong with a frame that was dropped since the last good one."""
 
-    def __init__(self, scene: Scene, config: Config, device: str) -> None:
-        self._scene = scene
+    def __init__(self, scene: Scene, config: Config, device: str, sensor: MakeSensor = simulated, *,
+                 images: bool = True) -> None:
+        """images: keep in the views what was made of the frames; nothing but a screen or a recording needs it."""
+        self._scene, self._images = scene, images
         self.trouble = ""
-        self._eyes = [Eye(setup, scene, config, device) for setup in rig(config, scene)]
+        self._eyes = [Eye(setup, scene, config, device, sensor) for setup in rig(config, scene)]
 
     def begin(self, config: Config) -> None:
         """Start anew, with no frames and the noise of the config's seed."""
@@ -212,7 +245,7 @@ class Eyes:
 
     def views(self, tick: int) -> tuple[View, ...]:
         """One for each camera."""
-        return tuple(eye.view(tick) for eye in self._eyes)
+        return tuple(eye.view(tick, images=self._images) for eye in self._eyes)
 
     def see(self, p_world: Array) -> bool:
         """Whether a perfect camera in the place of one of them would see this point: for the truth, never for the loop."""

@@ -17,6 +17,8 @@ EPSILON_C = 0.1
 ROOM = (0.1, 0.2)
 """|P J_c^T F|^2 / |J_c^T F|^2, the part of the motion along F that leaves the task alone: below the first there is too
 little to make room for a push, above the second enough. The elbow has 0.25 to 0.45 sideways, the wrist 0.01."""
+FULL = 0.3
+"""From this much of `room` on, the null space gives everything back: the path is slow by then, so there is little to give."""
 RANK = 1e-3
 """A singular value below this [m] is none: its direction belongs to the null space."""
 
@@ -68,26 +70,40 @@ def not_into_the_push(task: Array, null: Array, J_c: Array, P: Array, F: Array) 
 
     Task and posture move the contact point, too, and may move it into the person; the null space gives that way back
     where it can: fully where it moves the point along F well (the elbow), not at all where it hardly does (the wrist),
-    since there it would swing the whole arm for millimetres.
+    since there it would swing the whole arm for millimetres. What of the null-space velocity itself goes into the push
+    and is not given back is left out.
     """
+    along = J_c.T @ F
+    power = float(along @ (task + null))
+    if power >= 0.0:
+        return null
+    share = min(1.0, room(J_c, P, F) / FULL)
+    if share > 0.0:
+        w = P @ along
+        null = null - w * (share * power / float(w @ w))
+    missing, own = (1.0 - share) * power, float(along @ null)
+    return null * max(0.0, 1.0 - missing / own) if own < 0.0 else null
+
+
+def room(J_c: Array, P: Array, F: Array) -> float:
+    """How far the null space can give back what task and posture move into the push F, 0..1: by `ROOM`."""
     along = J_c.T @ F
     w = P @ along
-    power = float(F @ (J_c @ (task + null)))
-    room = float(w @ w) / max(float(along @ along), 1e-12)
-    share = float(np.clip((room - ROOM[0]) / (ROOM[1] - ROOM[0]), 0.0, 1.0))
-    if power >= 0.0 or share == 0.0:
-        return null
-    return null - w * (share * power / float(w @ w))
+    part = float(w @ w) / max(float(along @ along), 1e-12)
+    return float(np.clip((part - ROOM[0]) / (ROOM[1] - ROOM[0]), 0.0, 1.0))
 
 
-def share_of_the_path(path: Array, rest: Array, J_c: Array, F: Array) -> float:
-    """The largest part 0..1 of the joint velocity `path` with F . J_c (rest + part path) >= 0; 0 where none is.
+def share_of_the_path(path: Array, rest: Array, J_c: Array, P: Array, F: Array) -> float:
+    """The part 0..1 of the joint velocity `path` that need not move the contact point into the push F.
 
-    What the null space cannot give back, the path must not take: it waits instead of moving the contact point into a push.
+    What the null space has room to give back (`room`) may be taken; of what it has not, only so much that
+    F . J_c (rest + part path) is not negative; with the rest the path waits. rest: all else that moves the arm [rad/s]
+    (7,), without what the null space gives back.
     """
     along = J_c.T @ F
-    taken, left = -float(along @ path), float(along @ rest)
-    return 1.0 if taken <= max(left, 0.0) else max(left, 0.0) / taken
+    taken, left = -float(along @ path), max(float(along @ rest), 0.0)
+    part = 1.0 if taken <= left else left / taken
+    return part + room(J_c, P, F) * (1.0 - part)
 
 
 def relax_velocity_printed(J_c: Array, F: Array, k_f: float) -> Array:

@@ -179,6 +179,11 @@ class Reaction:
         if self.mode is Mode.STOP:
             self._enter(Mode.IDLE, "resumed")
 
+    def come_back(self) -> None:
+        """End an ABORT whose force is gone, wherever the contact point is: for an arm that does not move as commanded."""
+        if self.mode is Mode.ABORT and self._quiet >= self.config.abort_clear:
+            self._enter(Mode.IDLE, "the contact is gone, and the arm is back on its path")
+
     def update(self, q: Array, terms: Terms, residual: Array, detected: bool, contact: Contact | None,
                surroundings: Surroundings = OPEN) -> Command:
         """The command for the next control period.
@@ -309,22 +314,23 @@ class Reaction:
         if self.mode is Mode.RELAX and contact is not None:  # (12), second branch
             null = self._yielding(J.projector, contact, null)
         null = laws.with_forgetting(null, J.projector, self.dq, self._lam, unit_gain=c.law == "latched")  # (15)
-        if self.mode is Mode.RELAX and contact is not None and c.relax_form == "yielding":
-            null = laws.not_into_the_push(task, null, contact.J_c, J.projector, contact.F_world)
-        self._make_way(J.pinv[:, :3], task + null, path_speed, contact)
+        giving_way = contact if self.mode is Mode.RELAX and c.relax_form == "yielding" else None
+        self._make_way(J, task + null, path_speed, giving_way)
+        if giving_way is not None:
+            null = laws.not_into_the_push(task, null, giving_way.J_c, J.projector, giving_way.F_world)
         return _Velocity(task, null), path_speed
 
-    def _make_way(self, J_pinv: Array, dq: Array, path_speed: float, contact: Contact | None) -> None:
-        """Find the part of the path's speed that does not move the contact point into a push, for the next period.
+    def _make_way(self, J: laws.Inverse, dq: Array, path_speed: float, contact: Contact | None) -> None:
+        """Find the part of the path's speed that does not move a contact point into its push, for the next period.
 
-        J_pinv (7, 3): from the end effector's velocity. dq: the command now, the path at `path_speed` in it.
+        J: of the task. dq: what is wanted now, with the path at `path_speed` in it, and nothing given back yet.
         """
         c, free = self.config, 1.0
         if c.path_waits and self._unseen > 0.0:
             free = 0.0
-        elif c.path_waits and self.mode is Mode.RELAX and contact is not None and c.relax_form == "yielding":
-            path = J_pinv @ self.path.ahead(self._dt)
-            free = laws.share_of_the_path(path, dq - path_speed * path, contact.J_c, contact.F_world)
+        elif c.path_waits and contact is not None:
+            path = J.pinv[:, :3] @ self.path.ahead(self._dt)
+            free = laws.share_of_the_path(path, dq - path_speed * path, contact.J_c, J.projector, contact.F_world)
         self._free = min(max(free, self._free - self._dt / WAIT_TIME), self._free + self._dt / c.resume_time)
 
     def _yielding(self, P: Array, contact: Contact, null: Array) -> Array:

@@ -1,7 +1,6 @@
 """The page under test: one server with one cell for the whole session, and clients that come and go."""
 
 import os
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,14 +8,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from vclient import VClient, until
 
+from app.browser import COARSE, FLAGS, VIEWPORT, executable
+
 if TYPE_CHECKING:
     from app.serve.main import Page
-
-CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "chrome")
-CHROMIUM_FLAGS = [
-    "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-renderer-backgrounding",
-    "--disable-backgrounding-occluded-windows"]
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -62,15 +57,15 @@ def raw(served: "Page") -> Iterator[VClient]:
 
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Any]:
-    executable = next((path for name in CHROMIUM if (path := shutil.which(name))), None)
-    if executable is None:
+    path = executable()
+    if path is None:
         message = "no Chromium on this machine: the browser tests need one (Debian: apt install chromium)"
         pytest.fail(message) if os.environ.get("CI") == "true" else pytest.skip(message)
     from playwright.sync_api import expect, sync_playwright
 
     expect.set_options(timeout=30_000)
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=executable, headless=True, args=CHROMIUM_FLAGS)
+        browser = playwright.chromium.launch(executable_path=path, headless=True, args=FLAGS)
         yield browser
         browser.close()
 
@@ -81,12 +76,12 @@ def tab(chromium: Any, served: "Page", raw: VClient, request: Any, tmp_path: Pat
     up the seat, so that whoever acts first drives.
     """
     raw.hand_back()
-    context = chromium.new_context(viewport={"width": 1000, "height": 620})
+    context = chromium.new_context(viewport=VIEWPORT)
     context.set_default_timeout(30_000)
     tab, console = context.new_page(), []
     tab.on("console", lambda message: console.append(f"{message.type}: {message.text}"))
     tab.on("pageerror", lambda error: console.append(f"pageerror: {error}"))
-    tab.goto(f"{served.url}?fixedDpr=0.25", wait_until="commit")
+    tab.goto(f"{served.url}?{COARSE}", wait_until="commit")
     tab.wait_for_selector("#eb-banner")
     tab.wait_for_function("() => window.__viserMutable?.nodeRefFromName?.['/robot/link_7']")
     yield tab

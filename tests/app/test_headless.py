@@ -28,7 +28,8 @@ def run(tmp_path_factory):
 def test_the_folder_holds_everything_and_its_metrics_are_what_was_returned(run):
     out, figures, _ = run
     assert {path.name for path in out.iterdir()} == {
-        "session.rrd", "signals.parquet", "metrics.json", "config.json", "events.jsonl", "figure.png"}
+        "session.rrd", "signals.parquet", "metrics.json", "config.json", "events.jsonl", "robot.parquet",
+        "exposures.parquet", "figure.png"}
     assert json.loads((out / "metrics.json").read_text()) == json.loads(json.dumps(figures))
     assert not figures["interrupted"]
     assert figures["recording_problem"] == ""

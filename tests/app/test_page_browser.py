@@ -25,6 +25,18 @@ ON_SCREEN = """([name, offset]) => {
 }"""
 
 
+WHILE_A_SLIDER_MOVES = """() => {
+  const slider = document.querySelector("[role=slider]");
+  const press = (target, key) =>
+    target.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, cancelable: true }));
+  press(slider, "ArrowRight");
+  press(slider, "ArrowLeft");
+  press(document.body, "Escape");
+  press(slider, "ArrowRight");
+  press(slider, "ArrowLeft");
+}"""
+
+
 def pushed(tab: Any) -> bool:
     """Grab the elbow, pull it sideways and keep the mouse moving; whether the banner shows that the arm reacts."""
     tab.mouse.up()
@@ -75,6 +87,10 @@ def test_escape_stops_the_arm_from_anywhere_and_it_stays_stopped(tab: Any) -> No
     slider = tab.locator("label", has_text="F_abort").locator("xpath=ancestor::div[contains(@class,'Flex-root')][1]")
     slider.locator("input:not([type=hidden])").last.focus()
     tab.keyboard.press("Escape")
+    expect(banner).to_have_attribute("data-mode", "stop")
+    resume.click()
+    expect(banner).to_have_attribute("data-mode", "idle")
+    tab.evaluate(WHILE_A_SLIDER_MOVES)
     expect(banner).to_have_attribute("data-mode", "stop")
     resume.click()
     expect(banner).to_have_attribute("data-mode", "idle")

@@ -13,7 +13,7 @@ from app.open_loop import Job, execute
 from app.output import OutputError
 from app.record.folder import EventLog, SessionError, read, write
 from app.record.signals import SignalTable, digest, read_parquet, write_parquet
-from app.replay import exact
+from app.replay import again, exact
 from hrc.cell import pace
 from hrc.cell.cell import Cell
 from hrc.cell.run import Inbox, run
@@ -133,8 +133,8 @@ def test_the_truth_does_not_reach_the_estimator_in_a_replay(folder, monkeypatch)
     monkeypatch.setattr(SimulatedRobot, "truth", lambda _: lie)
     verdict, _ = exact(folder)
     assert verdict.endswith(f"first tick {recorded['tick'][0]}: force_true, contact_point_true, contact_link_true")
-    monkeypatch.setattr("app.open_loop.GIVEN", ("q", "dq", "tau"))
-    columns = execute(Job(folder)).columns
+    session = read(folder)
+    columns = again(Cell(session.config), session)
     told = {name for name, values in recorded.items() if values.tobytes() != columns[name].tobytes()}
     assert told <= {"force_true", "contact_point_true", "contact_link_true", "contact_visible"}
 

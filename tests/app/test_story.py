@@ -44,11 +44,13 @@ def test_what_passes_in_a_moment_is_no_part_of_the_story():
 
 
 def test_nobody_is_pushed_back_or_hard(paper):
-    """In RELAX, F . v_c is never negative once the arm had the time to brake; a push never meets more than 70 N."""
+    """In RELAX, F . v_c is never negative once the arm had 0.1 s to brake, be it that the push begins or that it comes to
+    another link; a push never meets more than 70 N."""
     figures, columns, _ = paper
-    t, relax = columns["t"], columns["state"] == Mode.RELAX
-    begun = np.maximum.accumulate(np.where(relax & ~np.r_[False, relax[:-1]], t, -np.inf))
-    power = columns["contact_power"][relax & (t - begun > 0.1) & (columns["contact_link_est"] >= 0)]
+    t, link = columns["t"], np.where(columns["state"] == Mode.RELAX, columns["contact_link_est"], -1)
+    begun = np.maximum.accumulate(np.where(link != np.r_[-1, link[:-1]], t, -np.inf))
+    power = columns["contact_power"][(link >= 0) & (t - begun > 0.1)]
+    assert power.size > 1000
     assert power.min() > -0.1
     assert figures["force_true_max_N"] <= 70.0
     assert figures["ddq_measured_max"] <= 100.0
@@ -70,8 +72,8 @@ def test_contacts_are_found_where_they_are(paper):
 
 
 def test_forces_are_what_they_are(paper):
-    force = paper[0]["force"]["links_4_to_7"]
-    assert force["ticks"] > 50
+    force = paper[0]["force"]["any"]["links_4_to_7"]
+    assert force["ticks"] > 200
     assert force["median_relative_error"] <= 0.15 or force["median_error_N"] <= 3.0
 
 

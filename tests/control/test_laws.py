@@ -105,11 +105,12 @@ def test_the_path_takes_only_what_leaves_no_motion_into_the_push():
     rng = np.random.default_rng(5)
     for _ in range(200):
         J_c, F, path, rest = rng.normal(size=(3, 7)), rng.normal(size=3), rng.normal(size=7), rng.normal(size=7)
-        share = laws.share_of_the_path(path, rest, J_c, F)
-        power = [F @ J_c @ (rest + s * path) for s in (share, min(1.0, share + 1e-3))]
+        share = laws.share_of_the_path(path, rest, J_c, np.zeros((7, 7)), F)
+        power = [F @ J_c @ (rest + s * path) for s in (share, share + 1e-3)]
         assert 0.0 <= share <= 1.0
         if F @ J_c @ rest >= 0.0:
             assert power[0] >= -1e-9
             assert share == 1.0 or power[1] < 0.0
         else:
             assert share == (1.0 if F @ J_c @ path >= 0.0 else 0.0)
+        assert laws.share_of_the_path(path, rest, J_c, np.eye(7), F) == 1.0, "the null space takes it all"

@@ -1,0 +1,186 @@
+"""What the page costs and how quick it is: CPU, bytes, delays and the cell's real-time factor, with one and three clients."""
+
+import contextlib
+import platform
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.bench.cpu import by_part, cores
+from app.bench.report import check, write
+from app.bench.traffic import LINK, Point, Visit, visit
+from app.browser import delays, launched, opened
+from app.serve.access import Access
+from app.serve.main import Page
+from hrc.events import Pull
+from hrc.messages import Snapshot
+
+SECONDS, QUICK_SECONDS = 20.0, 4.0
+BUDGET = {"bytes_per_s": 2e6, "page_cores": 0.20, "input_to_force_p95_s": 0.050, "real_time_factor": 0.99}
+"""The most of each for the largest audience, of the real-time factor the least."""
+
+
+@dataclass(frozen=True)
+class Audience:
+    """Who is there: visitors without a browser, of whom the first drives if somebody does, and perhaps a Chromium."""
+
+    name: str
+    raw: int
+    browser: bool
+    drive: bool
+
+
+AUDIENCES = (
+    Audience("1 client, who pulls", raw=1, browser=False, drive=True),
+    Audience("1 browser, who watches", raw=0, browser=True, drive=False),
+    Audience("3 clients: one pulls, one a browser", raw=2, browser=True, drive=True),
+)
+
+
+class Felt:
+    """Observes the cell: when the pull towards each place had been applied [s, monotonic]; and how far time has come."""
+
+    def __init__(self) -> None:
+        self.applied: dict[Point, float] = {}
+        self.time = 0.0
+
+    def on_step(self, snapshot: Snapshot) -> None:
+        """This step's events act in it."""
+        self.time = snapshot.time
+        for event in snapshot.events:
+            if isinstance(event, Pull):
+                self.applied[event.target] = time.monotonic()
+
+
+def bench(device: str = "cpu", json: Path | None = None, quick: bool = False) -> None:
+    """Measure, print a table, and write every figure with its conditions to `json`.
+
+    Raises OutputError, before anything is measured, if `json` cannot be written.
+    """
+    if json is not None:
+        check(json)
+    figures = measure(device, QUICK_SECONDS if quick else SECONDS)
+    if json is not None:
+        write(json, figures)
+    for line in printed(figures):
+        print(line)
+
+
+def measure(device: str, seconds: float) -> dict[str, Any]:
+    """Every figure as it goes into the JSON; seconds: for each audience."""
+    felt = Felt()
+    page = Page("free", Access(port=0), device=device, say=lambda _: None, observers=(felt,))
+    page.start()
+    try:
+        _until_running(page)
+        with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+            pool.submit(abs, 0).result()  # its start is not to be seen in the figures
+            rows = [_row(audience, page, felt, pool, seconds) for audience in AUDIENCES]
+    finally:
+        page.close()
+    conditions = {"cores": cores(), "system": platform.platform(), "python": platform.python_version(), "seconds": seconds,
+                  "scenario": "free", "pulled": LINK, "device": device}
+    return {"conditions": conditions, "budget": BUDGET, "rows": rows}
+
+
+def _until_running(page: Page) -> None:
+    while page.session.factor < 0.9:  # kernels compile, the first window of the pacer passes
+        time.sleep(0.1)
+
+
+def _row(audience: Audience, page: Page, felt: Felt, pool: ProcessPoolExecutor, seconds: float) -> dict[str, Any]:
+    with contextlib.ExitStack() as stack:
+        tab = None
+        if audience.browser:
+            try:
+                tab = opened(stack.enter_context(launched()), page.url)
+            except (FileNotFoundError, ModuleNotFoundError) as error:
+                return {"name": audience.name, "missing": str(error)}
+        watchers = audience.raw
+        visits = pool.submit(visit, page.server.get_port(), watchers, seconds + 1.0, drive=audience.drive) if watchers else None
+        if visits is not None:
+            while len(page.server.get_clients()) < watchers + audience.browser:
+                time.sleep(0.05)
+        time.sleep(2.0)
+        if tab is not None:
+            delays(tab)
+        before, begin, at, worst = by_part(), time.monotonic(), felt.time, np.inf
+        for factor in _seconds(felt, seconds - 2.0):
+            worst = min(worst, factor)
+        passed, spent = time.monotonic() - begin, by_part()
+        row = {"name": audience.name, "clients": audience.raw + audience.browser, "seconds": passed,
+               "cores": {part: (spent[part] - before[part]) / passed for part in spent},
+               "real_time_factor": (felt.time - at) / passed, "real_time_factor_worst_second": worst}
+        row["page_cores"] = row["cores"]["publisher"] + row["cores"]["server"]
+        if tab is not None:
+            row["publish_to_dom"] = _percentiles(delays(tab))
+        if visits is not None:
+            row |= _seen(visits.result(timeout=seconds + 60.0), felt)
+        return row
+
+
+def _seconds(felt: Felt, seconds: float) -> Iterator[float]:
+    """The real-time factor of each second."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        begin, at = time.monotonic(), felt.time
+        time.sleep(1.0)
+        yield (felt.time - at) / (time.monotonic() - begin)
+
+
+def _seen(visit: Visit, felt: Felt) -> dict[str, Any]:
+    largest = max(visit.traffic, key=lambda traffic: traffic.rate)
+    streams = {name: size / largest.seconds for name, size in sorted(largest.streams.items(), key=lambda s: -s[1])}
+    lasted = [felt.applied[place] - sent for place, sent in visit.sent.items() if place in felt.applied]
+    return {"bytes_per_s": largest.rate, "streams": streams, "publish_to_client": _percentiles(largest.late),
+            "input_to_force": _percentiles(lasted), "lost_inputs": len(visit.sent) - len(lasted)}
+
+
+def _percentiles(seconds: Sequence[float]) -> dict[str, float | int | None]:
+    p50, p95, most = np.percentile(seconds, [50, 95, 100]).tolist() if seconds else (None, None, None)
+    return {"p50_s": p50, "p95_s": p95, "max_s": most, "number": len(seconds)}
+
+
+def printed(figures: dict[str, Any]) -> Iterator[str]:
+    """The lines of the table."""
+    c = figures["conditions"]
+    yield f"{c['cores']} cores, Python {c['python']}; scenario {c['scenario']}, each row {c['seconds']:.0f} s"
+    for row in figures["rows"]:
+        yield f"\n{row['name']}"
+        if "missing" in row:
+            yield f"  missing: {row['missing']}"
+            continue
+        used = row["cores"]
+        yield (f"  cores: page {100 * row['page_cores']:.1f} % (publisher {100 * used['publisher']:.1f}, sockets and "
+               f"callbacks {100 * used['server']:.1f}); cell {100 * used['cell']:.1f} %")
+        yield f"  real-time factor {row['real_time_factor']:.3f}, worst second {row['real_time_factor_worst_second']:.3f}"
+        for key, name in (("input_to_force", "input to force"), ("publish_to_client", "publish to client"),
+                          ("publish_to_dom", "publish to DOM")):
+            times = row.get(key)
+            if times and times["number"]:
+                yield (f"  {name}: p50 {1e3 * times['p50_s']:.1f}, p95 {1e3 * times['p95_s']:.1f}, "
+                       f"max {1e3 * times['max_s']:.1f} ms ({times['number']})")
+        if "streams" in row:
+            yield f"  to one client: {row['bytes_per_s'] / 1e6:.3f} MB/s"
+            yield from (f"    {name:<20}{1e-3 * rate:9.1f} kB/s" for name, rate in row["streams"].items())
+    yield ""
+    yield from (f"{verdict}: {name}" for name, verdict in judged(figures).items())
+
+
+def judged(figures: dict[str, Any]) -> dict[str, str]:
+    """Each line of the budget, and whether the largest audience keeps it."""
+    row = figures["rows"][-1]
+    if "missing" in row:
+        return {}
+    got = {"bytes_per_s": row["bytes_per_s"], "page_cores": row["page_cores"], "real_time_factor": row["real_time_factor"],
+           "input_to_force_p95_s": row["input_to_force"]["p95_s"]}
+    keeps = {key: value is not None and (value >= bound if key == "real_time_factor" else value <= bound)
+             for key, bound in BUDGET.items() for value in (got[key],)}
+    return {f"{key} {got[key]:.4g} of {bound:g}": "within the budget" if keeps[key] else "OUTSIDE THE BUDGET"
+            for key, bound in BUDGET.items()}

@@ -1,0 +1,66 @@
+"""A headless Chromium, for measurements, soaks and tests of the page. It draws on the CPU: a floor for its rates."""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
+FLAGS = [
+    "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-renderer-backgrounding",
+    "--disable-backgrounding-occluded-windows"]
+VIEWPORT: Any = {"width": 1000, "height": 620}
+COARSE = "fixedDpr=0.25"
+"""Asks the page for few pixels, because a CPU draws them."""
+LATE = """() => {
+  window.late = [];
+  let seen = null;
+  new MutationObserver(() => {
+    const data = document.querySelector("#eb-banner")?.dataset;
+    if (!data || data.beat === seen) return;
+    seen = data.beat;
+    window.late.push(performance.timeOrigin + performance.now() - 1000 * Number(data.sent));
+    if (window.late.length > 20000) window.late.shift();
+  }).observe(document, {subtree: true, childList: true, attributes: true});
+}"""
+"""Notes for each banner how long after it was published it stood in the page [ms]; both clocks are this machine's."""
+
+
+def executable() -> str | None:
+    """The path of an installed Chromium, if there is one."""
+    return next((path for name in NAMES if (path := shutil.which(name))), None)
+
+
+@contextmanager
+def launched() -> "Iterator[Browser]":
+    """A running one. Raises ModuleNotFoundError without playwright, FileNotFoundError without a Chromium."""
+    from playwright.sync_api import sync_playwright
+
+    path = executable()
+    if path is None:
+        raise FileNotFoundError("no Chromium on this machine (Debian: apt install chromium)")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, headless=True, args=FLAGS)
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+def opened(browser: "Browser", url: str) -> "Page":
+    """A tab with the page loaded and the robot drawn. url: with its token, where there is one."""
+    tab = browser.new_context(viewport=VIEWPORT).new_page()
+    tab.add_init_script(f"({LATE})()")
+    tab.goto(f"{url}{'&' if '?' in url else '?'}{COARSE}", wait_until="commit")
+    tab.wait_for_selector("#eb-banner", timeout=60_000)
+    tab.wait_for_function("() => window.__viserMutable?.nodeRefFromName?.['/robot/link_7']", timeout=60_000)
+    return tab
+
+
+def delays(tab: "Page") -> list[float]:
+    """How long after their publication the banners since the last call stood in the page [s]."""
+    return [0.001 * ms for ms in tab.evaluate("() => window.late.splice(0)")]

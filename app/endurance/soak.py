@@ -1,0 +1,204 @@
+"""`elbowroom soak`: the page with a restless audience, two browsers and a rotating recording, for as long as is asked for."""
+
+import contextlib
+import logging
+import multiprocessing
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, TextIO
+
+from tqdm import tqdm
+
+from app.bench.report import check, write
+from app.browser import launched, opened
+from app.endurance.crowd import riot
+from app.endurance.health import Health, Sample, Steps, faults, summary
+from app.endurance.rotation import Rotation
+from app.record.recorder import Recorder
+from app.serve.access import Access
+from app.serve.main import Page
+from hrc.cell.eyes import rig
+from hrc.errors import HrcError
+from hrc.parameters import keys
+from hrc.scene import load_scene
+from hrc.vision.camera import Camera
+
+BROWSERS = 2
+ROWS = 20
+"""Lines of the printed table."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What was asked for. rotate: minutes that one file of the recording holds."""
+
+    hours: float
+    out: Path | None = None
+    json: Path | None = None
+    seed: int = 0
+    rotate: float = 5.0
+    browsers: int = BROWSERS
+
+
+class Errors:
+    """Collects every error that nobody asked for: tracebacks, logged errors, and what the browsers' consoles say."""
+
+    def __init__(self) -> None:
+        self.found: list[str] = []
+
+    @contextlib.contextmanager
+    def listening(self) -> Iterator[None]:
+        """Listen to the log and to standard error, which still prints."""
+        handler = logging.Handler(logging.ERROR)
+        handler.emit = lambda record: self.found.append(f"log: {record.getMessage()}")
+        logging.getLogger().addHandler(handler)
+        stream, sys.stderr = sys.stderr, _Tee(sys.stderr, self.found)
+        try:
+            yield
+        finally:
+            sys.stderr = stream
+            logging.getLogger().removeHandler(handler)
+
+    def watch(self, tab: Any, name: str) -> None:
+        """Listen to a browser's console."""
+        tab.on("console", lambda message: self._console(name, message))
+        tab.on("pageerror", lambda error: self.found.append(f"{name}: {error}"))
+
+    def say(self, line: str) -> None:
+        """What the page says on the terminal."""
+        if "failed" in line:
+            self.found.append(f"page: {line}")
+
+    def _console(self, name: str, message: Any) -> None:
+        if message.type == "error":
+            self.found.append(f"{name}: {message.text}")
+
+
+class _Tee:
+    """Standard error that keeps the first line of each traceback's end."""
+
+    def __init__(self, stream: TextIO | IO[str], found: list[str]) -> None:
+        self._stream, self._found, self._in = stream, found, False
+
+    def write(self, text: str) -> int:
+        for line in text.splitlines():
+            if line.startswith("Traceback"):
+                self._in = True
+            elif self._in and line and not line[0].isspace():
+                self._in = False
+                self._found.append(f"traceback: {line}")
+        return self._stream.write(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def soak(job: Job) -> list[str]:
+    """Run it, print the table, write the JSON; what is not as it must be, which is nothing in the best case.
+
+    Raises OutputError, before anything starts, if the JSON cannot be written; HrcError for a time that is none.
+    """
+    if not 0.0 < job.hours <= 1000.0:
+        raise HrcError(f"the hours must be above 0 and at most 1000, not {job.hours:g}")
+    if job.json is not None:
+        check(job.json)
+    with contextlib.ExitStack() as stack:
+        folder = job.out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="elbowroom-soak-")))
+        folder.mkdir(parents=True, exist_ok=True)
+        found = _run(job, folder)
+    found["faults"] = faults(found, found["errors"])
+    if job.json is not None:
+        write(job.json, found)
+    for line in table(found):
+        print(line)
+    return found["faults"]
+
+
+def _run(job: Job, folder: Path) -> dict[str, Any]:
+    errors, steps, seconds = Errors(), Steps(), 3600.0 * job.hours
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(errors.listening())
+        rotation = Rotation(folder, 60.0 * job.rotate)
+        page = Page("free", Access(port=0), seed=job.seed, say=errors.say, observers=(steps, rotation))
+        stack.callback(page.close)
+        page.start()
+        while steps.number == 0:
+            time.sleep(0.1)
+        rotation.begin(lambda path: _recorder(page, path))
+        tabs = _browsers(stack, page.url, job.browsers, errors)
+        context = multiprocessing.get_context("spawn")
+        pool = stack.enter_context(ProcessPoolExecutor(1, context))
+        over = stack.enter_context(context.Manager()).Event()
+        crowd = pool.submit(riot, page.server.get_port(), job.seed, over, seconds + 60.0)
+        stack.callback(over.set)
+        health = Health(steps, page.session.config.rates.base_hz if page.session.config else 1000)
+        _sample(health, page, rotation, tabs, seconds)
+        over.set()
+        done, failed = crowd.result(timeout=120.0)
+        rotation.close()
+        return {"conditions": {"seconds": seconds, "browsers": len(tabs), "seed": job.seed}, **summary(health.samples),
+                "done": done, "failed": failed, "refused": dict(page.guard.refused), "errors": _once(errors.found),
+                "recording": {"files": rotation.files, "bytes": rotation.bytes, "trouble": rotation.trouble}}
+
+
+def _recorder(page: Page, path: Path) -> Recorder:
+    config = page.session.config
+    assert config is not None
+    scene = load_scene(config.scene)
+    cameras = {setup.name: Camera(setup.camera) for setup in rig(config, scene)}
+    return Recorder(path, base_hz=config.rates.base_hz, scene=scene, cameras=cameras, parameters=keys(config),
+                    about={"scenario": page.session.scenario, "seed": config.seed})
+
+
+def _browsers(stack: contextlib.ExitStack, url: str, number: int, errors: Errors) -> list[Any]:
+    if number == 0:
+        return []
+    browser, tabs = stack.enter_context(launched()), []
+    for i in range(number):
+        tab = opened(browser, url)
+        errors.watch(tab, f"browser {i + 1}")
+        tabs.append(tab)
+    return tabs
+
+
+def _sample(health: Health, page: Page, rotation: Rotation, tabs: Sequence[Any], seconds: float) -> None:
+    """Samples until the time is over; the browsers' events are handled meanwhile."""
+    period = min(10.0, max(1.0, seconds / 200.0))
+    with tqdm(total=round(seconds), unit="s", disable=not sys.stderr.isatty()) as bar:
+        while (passed := time.monotonic() - health.begin) < seconds:
+            wait = min(period, seconds - passed)
+            if tabs:
+                tabs[0].wait_for_timeout(1e3 * wait)
+            else:
+                time.sleep(wait)
+            health.take(visitors=len(page.server.get_clients()), images=rotation.dropped)
+            bar.update(round(health.samples[-1].time) - bar.n)
+
+
+def _once(errors: Sequence[str]) -> list[str]:
+    """Each error once, with how often."""
+    return [f"{error} ({errors.count(error)} times)" for error in dict.fromkeys(errors)]
+
+
+def table(found: dict[str, Any]) -> Iterator[str]:
+    """The lines of the report."""
+    samples = [Sample(**sample) for sample in found["samples"]]
+    yield "    time s   memory MB  descr.  threads  factor  lost s  images dropped  visitors"
+    for sample in samples[:: max(1, len(samples) // ROWS)]:
+        yield (f"{sample.time:10.0f}{sample.memory / 1e6:12.1f}{sample.descriptors:8}{sample.threads:9}{sample.factor:8.3f}"
+               f"{sample.lost:8.2f}{sample.images:16}{sample.visitors:10}")
+    memory = found["memory_bytes"]
+    yield (f"after {found['settled_after_s']:.0f} s: memory {memory[0] / 1e6:.1f} to {memory[1] / 1e6:.1f} MB "
+           f"({100 * found['memory_growth']:+.1f} %), descriptors {found['descriptors'][0]:.0f} to "
+           f"{found['descriptors'][1]:.0f}, threads {found['threads'][0]:.0f} to {found['threads'][1]:.0f}")
+    yield (f"real-time factor {found['real_time_factor']:.3f}, worst sample {found['worst_factor']:.3f}; "
+           f"{found['lost_s']:.1f} s dropped; {found['images_dropped']} depth images dropped")
+    yield "visitors: " + ", ".join(f"{number} {name}" for name, number in sorted(found["done"].items()))
+    yield from (f"  did not work out: {number} {name}" for name, number in found["failed"].items())
+    yield f"recording: {found['recording']['files']} files, {found['recording']['bytes'] / 1e6:.0f} MB"
+    yield from found["faults"] or ["all as it must be"]

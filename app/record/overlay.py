@@ -1,0 +1,43 @@
+"""What a replay made of a session, as a recording that the viewer lays over the session's own: it has the same id."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+from rerun.chunk import RrdReader
+
+from app.record import blueprint, entities
+from app.record.signals import Columns
+from app.record.writer import APPLICATION, PLOTTED, series, states
+
+GIVEN = ("q", "dq", "tau", "force_true", "contact_point_true", "contact_link_true", "contact_visible", "silent_cameras")
+"""Signals that are in the session already."""
+
+
+def write(path: Path, recording: Path, columns: Columns, *, tick_ns: int, cameras: Sequence[str]) -> None:
+    """Write the replayed signals and modes to `path` (.rrd), for the session recorded in `recording`.
+
+    tick_ns: length of a tick of the base rate. cameras: by name, for the layout.
+    """
+    own = next(entry for entry in RrdReader(os.fspath(recording)).recordings())
+    stream = rr.RecordingStream(APPLICATION, recording_id=own.recording_id, send_properties=False)
+    stream.set_log_time_enabled(False)
+    stream.set_sinks(rr.FileSink(os.fspath(path)), default_blueprint=blueprint.review(cameras, replayed=True))
+    ticks = columns["tick"]
+    index = [rr.TimeColumn("sim_time", duration=(ticks * tick_ns).astype("timedelta64[ns]")),
+             rr.TimeColumn("step", sequence=ticks.copy())]
+    for signal in PLOTTED:
+        if signal.name not in GIVEN:
+            entity, values = f"{entities.REPLAY}/{signal.name}", columns[signal.name].astype(np.float64)
+            stream.log(entity, series(signal.name, signal.width, suffix=" replayed"), static=True)
+            stream.send_columns(entity, index, rr.Scalars.columns(scalars=np.where(np.isinf(values), np.nan, values)))
+    stream.log(entities.REPLAYED_STATE, states({mode.value: colour for mode, colour in entities.MODES.items()}), static=True)
+    mode = columns["state"]
+    for i in np.flatnonzero(np.r_[True, mode[1:] != mode[:-1]]):
+        stream.set_time("sim_time", duration=np.timedelta64(int(ticks[i]) * tick_ns, "ns"))
+        stream.set_time("step", sequence=int(ticks[i]))
+        stream.log(entities.REPLAYED_STATE, rr.StateChange(state=str(mode[i])))
+    stream.flush(timeout_sec=60.0)
+    stream.disconnect()

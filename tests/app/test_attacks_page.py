@@ -1,0 +1,132 @@
+"""The real page under attack: a stalled socket, a crowd, and fuzzed messages from an operator leave it well."""
+
+import math
+import threading
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from fuzz import COUNT, damaged, message
+from target import TOKEN, WATCH, authorized
+from vclient import VClient, until
+
+from app.serve.access import Access
+from app.serve.keys import Keys
+from app.serve.main import Page
+
+ELBOW = "/robot/link_4"
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[Page]:
+    page = Page("free", Access(port=0, keys=Keys(TOKEN, WATCH)), say=lambda _: None)
+    page.start()
+    yield page
+    page.close()
+
+
+@pytest.fixture
+def onlooker(page: Page) -> Iterator[VClient]:
+    """Somebody who watches, and sees whether the page is well."""
+    client = join(page, WATCH)
+    until(lambda: client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.3, 60.0)
+    yield client
+    client.close()
+
+
+def join(page: Page, token: str = TOKEN) -> VClient:
+    client = VClient(page.server.get_port(), headers=authorized(token))
+    assert client.ready.wait(10.0)
+    until(lambda: client.seat() and client.banner() and ELBOW in client.nodes)
+    return client
+
+
+def runs(client: VClient) -> bool:
+    """Whether simulated time goes on."""
+    before = float(client.banner()["time"])
+    time.sleep(0.3)
+    return before < float(client.banner()["time"]) < before + 1.0
+
+
+def grab(client: VClient) -> None:
+    point = client.position(ELBOW) + np.array([0.06, 0.0, 0.0])
+    client.drag(ELBOW, "start", point, point)
+    client.drag(ELBOW, "update", point, point + np.array([0.0, 0.2, 0.0]))
+
+
+def test_socket_that_stalls_in_mid_drag_lets_go_and_slows_nobody(page: Page, onlooker: VClient) -> None:
+    stalled, thawed = join(page), threading.Event()
+    grab(stalled)
+    until(lambda: float(onlooker.banner()["truth"]) > 8.0)
+    stalled.freeze(thawed)
+    beat, begin = int(onlooker.banner()["beat"]), time.monotonic()
+    until(lambda: float(onlooker.banner()["truth"]) == 0.0, 8.0)
+    until(lambda: time.monotonic() > begin + 4.0)
+    rate = (int(onlooker.banner()["beat"]) - beat) / (time.monotonic() - begin)
+    assert rate > 5.0, "of the ten banners a second"
+    other = join(page)
+    other.click("Take control")
+    until(other.drives, 5.0)
+    thawed.set()
+    other.close()
+    stalled.close()
+
+
+def test_twenty_visitors_come_and_go_and_leave_nothing_behind(page: Page, onlooker: VClient) -> None:
+    until(lambda: len(page.server.get_clients()) == 1)
+    threads, free = threading.active_count(), len(page.guard._free)
+    visitors = [VClient(page.server.get_port(), headers=authorized(TOKEN)) for _ in range(20)]
+    for visitor in visitors:
+        assert visitor.ready.wait(20.0)
+    until(lambda: all(visitor.seat() for visitor in visitors), 20.0)
+    for visitor in visitors[:10]:
+        visitor.click("Take control")
+    until(lambda: page.guard.seat.operator is not None)
+    for visitor in visitors[::2]:
+        visitor.tear()
+    for visitor in visitors[1::2]:
+        visitor.close()
+    until(lambda: len(page.server.get_clients()) == 1, 20.0)
+    until(lambda: page.guard.seat.operator is None and page.guard.seat.asking is None)
+    until(lambda: len(page.guard._free) == free)
+    until(lambda: threading.active_count() <= threads + 2, 20.0)
+    beat = int(onlooker.banner()["beat"])
+    until(lambda: int(onlooker.banner()["beat"]) > beat + 5)
+    assert onlooker.seat()["operator"] == ""
+
+
+def test_page_takes_fuzzed_messages_from_an_operator_and_stays_well(
+        page: Page, onlooker: VClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture,
+        capfd: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(page.guard, "rate", 1e9)
+    monkeypatch.setattr(page.guard, "burst", 1e9)
+    monkeypatch.setattr("app.serve.guard.PATIENCE", 10**9)
+    fuzzer = join(page)
+    fuzzer.click("Take control")
+    until(fuzzer.drives)
+    banned = {fuzzer.widget("Scenario"), fuzzer.widget("Release control")}
+    uuids = tuple(uuid for uuid in fuzzer.gui if uuid not in banned)
+    refused = sum(page.guard.refused.values())
+    for raw, _ in zip(damaged(2, uuids), range(COUNT // 50), strict=False):
+        fuzzer.send(raw)
+    fuzzer.send(message("GuiUpdateMessage", uuid=fuzzer.widget("Simulation"), updates={"value": "Reset"}))
+    until(lambda: sum(page.guard.refused.values()) > refused + COUNT // 100)
+    fuzzer.close()
+    until(lambda: page.guard.seat.operator is None)
+    mender = join(page)
+    beat = int(mender.banner()["beat"])
+    until(lambda: int(mender.banner()["beat"]) > beat + 3)  # what the last of the messages did is on the screen
+    if mender.banner()["paused"] == "true":
+        mender.set("Simulation", "Play")
+    mender.set("Simulation", "Reset")
+    mender.set("Speed", 1.0)
+    if mender.banner()["mode"] == "stop":
+        mender.click("Resume")
+    until(lambda: onlooker.banner()["mode"] == "idle" and onlooker.banner()["paused"] == "false", 20.0)
+    until(lambda: runs(onlooker))
+    assert all(math.isfinite(float(onlooker.banner()[key])) for key in ("force", "truth", "time", "factor"))
+    assert not onlooker.closed.is_set()
+    assert "Traceback" not in capfd.readouterr().err
+    assert [record for record in caplog.records if record.levelname == "ERROR"] == []
+    mender.close()

@@ -1,0 +1,72 @@
+"""The soak tool: it sees what grows and what goes wrong; a short real run shows that all its parts act."""
+
+import logging
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from app.endurance.health import GROWTH, Sample, faults, summary
+from app.endurance.soak import Errors, Job, soak
+from hrc.errors import HrcError
+
+CALM = Sample(0.0, 500_000_000, 30, 10, 1.0, 0.0, 0, 3)
+
+
+def run(minutes: int, **growth: float) -> list[Sample]:
+    """Samples of so many minutes, in which some figures grow by so much a minute."""
+    return [replace(CALM, time=60.0 * i, **{name: round(getattr(CALM, name) + by * i) for name, by in growth.items()})
+            for i in range(1, minutes + 1)]
+
+
+def test_a_calm_run_has_no_faults() -> None:
+    assert faults(summary(run(60)), []) == []
+
+
+@pytest.mark.parametrize(("name", "by"), [("memory", 400_000), ("descriptors", 0.1), ("threads", 0.1)])
+def test_what_grows_is_found(name: str, by: float) -> None:
+    found = faults(summary(run(60, **{name: by})), [])
+    assert len(found) == 1
+    assert name in found[0]
+
+
+def test_memory_that_grows_only_at_first_is_forgiven() -> None:
+    samples = [replace(sample, memory=CALM.memory - 100_000_000 if sample.time < 590.0 else CALM.memory) for sample in run(60)]
+    assert summary(samples)["memory_growth"] == 0.0
+    assert summary(run(60, memory=0.9 * GROWTH * CALM.memory / 50))["memory_growth"] < GROWTH
+
+
+def test_lost_time_and_errors_are_faults() -> None:
+    samples = [replace(sample, factor=0.9) for sample in run(10)]
+    assert faults(summary(samples), ["log: x"]) == ["the real-time factor is 0.900, of 0.97 at least", "error: log: x"]
+
+
+def test_tracebacks_and_logged_errors_are_collected(capsys: pytest.CaptureFixture[str]) -> None:
+    errors = Errors()
+    with errors.listening():
+        print('Traceback (most recent call last):\n  File "x.py", line 1\nValueError: bad', file=sys.stderr)
+        logging.getLogger("websockets.server").error("lost %s", "it")
+        print("a warning", file=sys.stderr)
+    logging.getLogger().error("later")
+    errors.say("the cell failed (ValueError: bad); the page lives on")
+    errors.say('"free" is running')
+    assert errors.found == ["traceback: ValueError: bad", "log: lost it",
+                            "page: the cell failed (ValueError: bad); the page lives on"]
+    assert "a warning" in capsys.readouterr().err, "it is printed all the same"
+
+
+def test_a_few_seconds_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing is said about its speed: others use the machine."""
+    told = soak(Job(hours=12.0 / 3600.0, out=tmp_path / "out", json=tmp_path / "soak.json", seed=1, rotate=0.05, browsers=0))
+    assert [line for line in told if line.startswith("error")] == []
+    printed = capsys.readouterr().out
+    assert "join" in printed
+    assert " push" in printed
+    assert 1 <= len(list((tmp_path / "out").glob("part-*.rrd"))) <= 4
+    assert (tmp_path / "soak.json").stat().st_size > 1000
+
+
+def test_a_time_that_is_none_is_refused() -> None:
+    with pytest.raises(HrcError, match="hours must be above 0"):
+        soak(Job(hours=0.0))
