@@ -14,8 +14,8 @@ from hrc.errors import HrcError
 Settings = Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], arg(name="set", metavar="KEY=VALUE")]
 SettingsFile = Annotated[Path | None, arg(name="settings", metavar="FILE")]
 
-EXTRAS = {"viser": "page", "websockets": "page", "msgspec": "page", "rerun": "record", "pyarrow": "record",
-          "matplotlib": "record"}
+EXTRAS = {"viser": "page", "websockets": "page", "msgspec": "page", "playwright": "bench", "rerun": "record",
+          "pyarrow": "record", "matplotlib": "record"}
 """What may not be installed, and the extra that brings it."""
 
 commands = tyro.extras.SubcommandApp()
@@ -26,7 +26,7 @@ def serve(scenario: str = "free", host: str = "127.0.0.1", port: int | Literal["
           settings: Settings = (), settings_file: SettingsFile = None, seed: int = 0,
           open_browser: FlagCreatePairsOff[bool] = False, token: str | None = None, view_token: str | None = None,
           allow_host: UseAppendAction[tuple[str, ...]] = (), tls_cert: Path | None = None,
-          tls_key: Path | None = None) -> None:
+          tls_key: Path | None = None, recordings: Path = Path("recordings")) -> None:
     """Open the cell in the browser: push the arm, drag obstacles into it (the command without a name does this).
 
     Args:
@@ -44,6 +44,7 @@ def serve(scenario: str = "free", host: str = "127.0.0.1", port: int | Literal["
         allow_host: A further host name of the page, as behind a proxy; can be given again.
         tls_cert: Certificate in PEM, to serve HTTPS.
         tls_key: Its key in PEM, unencrypted.
+        recordings: Folder for what is recorded from the page; made with the first.
     """
     from app.serve.access import Access
     from app.serve.main import serve as start
@@ -51,7 +52,8 @@ def serve(scenario: str = "free", host: str = "127.0.0.1", port: int | Literal["
 
     access = Access.of(host, port, token=token, view_token=view_token, names=allow_host, tls_cert=tls_cert, tls_key=tls_key)
     changes = [*(read(settings_file) if settings_file else ()), *map(parse, _flat(settings))]
-    start(scenario, access, device=device, settings=changes, seed=seed, open_browser=open_browser)
+    start(scenario, access, device=device, settings=changes, seed=seed, open_browser=open_browser,
+          recordings=recordings)
 
 
 @commands.command
@@ -201,15 +203,16 @@ def compare(scenario: Annotated[Positional[str], arg(metavar="SCENARIO")], out: 
 
 
 @commands.command
-def bench(what: Annotated[Positional[Literal["speed", "accuracy", "contact", "yielding", "web"]],
-                          arg(metavar="speed|accuracy|contact|yielding|web")] = "speed",
+def bench(what: Annotated[Positional[Literal["speed", "accuracy", "contact", "yielding", "web", "record"]],
+                          arg(metavar="speed|accuracy|contact|yielding|web|record")] = "speed",
           json: Annotated[Path | None, arg(metavar="FILE")] = None, device: str = "cpu",
           quick: FlagCreatePairsOff[bool] = False, hours: float = 0.0, settings_file: SettingsFile = None) -> None:
     """Measure on this machine: the speed of perception beside what one would use instead, its accuracy, or what is felt.
 
     Args:
         what: speed, on one core; accuracy, of the contact point and of the filter; contact: force, delay, false alarms;
-            yielding: what relaxing is worth; web: what the page costs, and how quick it is, for one and three clients.
+            yielding: what relaxing is worth; web: what the page costs, and how quick it is, for one and three clients;
+            record: what a recording costs.
         json: File for all figures with their conditions.
         device: Measured beside the CPU (speed), or used: cpu or cuda:0.
         quick: Few frames or pushes, to see that it works.
@@ -227,6 +230,8 @@ def bench(what: Annotated[Positional[Literal["speed", "accuracy", "contact", "yi
         from app.bench.yielding import bench as measure
     elif what == "web":
         from app.bench.web import bench as measure
+    elif what == "record":
+        from app.bench.record import bench as measure
     else:
         from app.bench.speed import bench as measure
 
@@ -253,6 +258,19 @@ def soak(hours: float = 1.0, out: Path | None = None, json: Annotated[Path | Non
 
     if endure(Job(hours, out, json, seed, rotate, browsers)):
         raise SystemExit(1)
+
+
+@commands.command
+def tour(out: Path, film: FlagCreatePairsOff[bool] = False) -> None:
+    """Take a picture of every main screen of the page in a headless Chromium, to look at after a change.
+
+    Args:
+        out: Folder to write; it must not exist.
+        film: Also take an animation of the guided demo, which takes minutes.
+    """
+    from app.tour import tour as take
+
+    take(out, film=film)
 
 
 @commands.command

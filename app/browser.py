@@ -36,15 +36,18 @@ def executable() -> str | None:
 
 
 @contextmanager
-def launched() -> "Iterator[Browser]":
-    """A running one. Raises ModuleNotFoundError without playwright, FileNotFoundError without a Chromium."""
+def launched(*flags: str) -> "Iterator[Browser]":
+    """A running one. flags: beside FLAGS.
+
+    Raises ModuleNotFoundError without playwright, FileNotFoundError without a Chromium.
+    """
     from playwright.sync_api import sync_playwright
 
     path = executable()
     if path is None:
         raise FileNotFoundError("no Chromium on this machine (Debian: apt install chromium)")
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, headless=True, args=FLAGS)
+        browser = playwright.chromium.launch(executable_path=path, headless=True, args=[*FLAGS, *flags])
         try:
             yield browser
         finally:

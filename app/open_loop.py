@@ -163,8 +163,8 @@ def _write(out: Path, replay: Replay, about: Mapping[str, Any], config: Config, 
         if (recording := replay.session.folder / "session.rrd").is_file():
             from app.record import overlay  # here, because rerun takes half a second and is an extra
 
-            overlay.write(folder / recording.name, recording, replay.columns, tick_ns=1_000_000_000 // config.rates.base_hz,
-                          cameras=[setup.name for setup in rig(config)])
+            overlay.write(folder / recording.name, recording, replay.columns, keys(config),
+                          tick_ns=1_000_000_000 // config.rates.base_hz, cameras=[setup.name for setup in rig(config)])
 
 
 def table(replay: Replay) -> str:

@@ -1,5 +1,6 @@
 """An output folder that appears as a whole or not at all."""
 
+import errno
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,6 +10,10 @@ from hrc.errors import HrcError
 
 MARK = "config.json"
 """The file by which an earlier run's folder is known: nothing else is ever overwritten."""
+
+
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
+"""What a disk may say that is no bug of ours."""
 
 
 class OutputError(HrcError):
@@ -31,7 +36,8 @@ def check(out: Path, *, overwrite: bool = False) -> None:
 def folder(out: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """A hidden sibling to write into, renamed to `out` at the end.
 
-    If an HrcError or Ctrl-C leaves the block, it is removed. After any other exception, a bug, it stays as evidence.
+    If an HrcError or Ctrl-C leaves the block, or the disk is full, it is removed. After any other exception, a bug, it stays as
+    evidence.
     """
     check(out, overwrite=overwrite)
     partial = out.with_name(f".{out.name}.partial")
@@ -50,5 +56,8 @@ def folder(out: Path, *, overwrite: bool = False) -> Iterator[Path]:
         shutil.rmtree(partial, ignore_errors=True)
         raise
     except Exception as error:
+        if isinstance(error, OSError) and error.errno in NO_ROOM:
+            shutil.rmtree(partial, ignore_errors=True)
+            raise OutputError(f"cannot write {out}: {error.strerror}") from None
         error.add_note(f"What was written until then is in {partial}")
         raise

@@ -40,19 +40,28 @@ class ReviewError(HrcError):
 
 
 def recordings(folders: Sequence[Path]) -> list[Path]:
-    """The recording of each folder, or the file itself; a torn one is repaired, and that is said.
+    """The recording of each folder with all its files, or the file itself; a torn one is repaired, and that is said.
 
     Raises ReviewError where there is none, and RepairError for a file that is none.
     """
     found = []
     for folder in folders:
-        path = folder / SESSION if folder.is_dir() else folder
-        if not path.is_file():
+        paths = files(folder) if folder.is_dir() else [folder]
+        if not paths or not paths[0].is_file():
             raise ReviewError(f"{folder} has no {SESSION}; `run` writes one unless it is told --no-record")
-        if torn := repair(path).torn:
-            print(f"{path} was not written to the end: cut its last {torn} bytes", file=sys.stderr)
-        found.append(path.resolve())
+        for path in paths:
+            if torn := repair(path).torn:
+                print(f"{path} was not written to the end: cut its last {torn} bytes", file=sys.stderr)
+            found.append(path.resolve())
     return found
+
+
+def files(folder: Path) -> list[Path]:
+    """The files of a recording in their order: session.rrd, session_2.rrd, ..."""
+    first = folder / SESSION
+    numbered = {path: re.fullmatch(rf"{first.stem}_(\d+)", path.stem) for path in folder.glob(f"{first.stem}_*.rrd")}
+    later = sorted((int(match[1]), path) for path, match in numbered.items() if match)
+    return [first, *(path for _, path in later)] if first.is_file() else []
 
 
 def program() -> Path:

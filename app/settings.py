@@ -1,9 +1,11 @@
 """From what a user types to a config: a preset, a scenario's settings, a settings file and `key=value` pairs in that order."""
 
+import json
 import math
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +50,72 @@ def read(file: Path) -> list[tuple[str, Any]]:
     except ConfigError as error:
         raise ConfigError(f"{file.name}: {error}") from None
     return settings
+
+
+def written(config: Config) -> str:
+    """A settings file with whatever differs from the defaults, for `read` and `--settings`."""
+    plain = keys(Config())
+    lines = [f"{key} = {_toml(value)}" for key, value in keys(config).items() if value != plain[key]]
+    return "\n".join(["# Parameters that differ from the defaults of Elbowroom.", *lines, ""])
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a settings file means for a cell that runs. changes: those that it can take now, in an order in which each is
+    valid when its turn comes. trouble: a line for each entry that it cannot."""
+
+    changes: tuple[tuple[str, Any], ...]
+    trouble: tuple[str, ...]
+
+
+def sift(text: str, config: Config) -> Found:
+    """Tell the entries of a settings file apart. Raises ConfigError if it is no TOML."""
+    try:
+        table = _flat(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(str(error)) from None
+    present, trouble, wanted = keys(config), [], {}
+    for key, value in table.items():
+        if key not in present:
+            trouble.append(unknown("parameter", key, present))
+        elif _same(value, present[key]):
+            continue
+        elif not field_of(config, key).metadata["live"]:
+            trouble.append(f"{key} = {_shown(value)} needs a new start, with --settings")
+        else:
+            wanted[key] = value
+    changes, refused = ordered(config, wanted)
+    return Found(changes, (*trouble, *refused))
+
+
+def ordered(config: Config, wanted: Mapping[str, Any]) -> tuple[tuple[tuple[str, Any], ...], tuple[str, ...]]:
+    """Changes one by one, each valid after those before it (a threshold may have to wait for another), and why others are
+    not."""
+    done: list[tuple[str, Any]] = []
+    left, refused = dict(wanted), dict[str, str]()
+    while True:
+        before = len(left)
+        for key, value in list(left.items()):
+            try:
+                config = replaced(config, key, value)
+            except ConfigError as error:
+                refused[key] = f"{key}: {error}"
+            else:
+                done.append((key, left.pop(key)))
+        if len(left) == before:
+            return tuple(done), tuple(refused[key] for key in left)
+
+
+def _same(value: Any, present: Any) -> bool:
+    return value == (list(present) if isinstance(present, tuple) else present)
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, tuple):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return json.dumps(value) if isinstance(value, str) else repr(value)  # a TOML string takes all escapes of a JSON one
 
 
 def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

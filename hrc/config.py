@@ -17,6 +17,7 @@ from hrc.control.reference import TaskConfig
 from hrc.model import ModelConfig
 from hrc.parameters import Parameters, param
 from hrc.sim.depth_camera import SensorConfig
+from hrc.sim.faults import FaultConfig
 from hrc.sim.obstacles import ObstacleConfig
 from hrc.sim.push import PushConfig
 from hrc.sim.robot import PlantConfig
@@ -34,6 +35,7 @@ class Config(Parameters):
     """The scene, by its name or the path of its file: environment, obstacles, cameras."""
     rates: RatesConfig = field(default_factory=RatesConfig)
     plant: PlantConfig = field(default_factory=PlantConfig)
+    fault: FaultConfig = field(default_factory=FaultConfig)
     push: PushConfig = field(default_factory=PushConfig)
     obstacle: ObstacleConfig = field(default_factory=ObstacleConfig)
     model: ModelConfig = field(default_factory=ModelConfig)

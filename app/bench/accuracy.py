@@ -32,8 +32,9 @@ class Accuracy:
 
     Modes paper and interval are vision alone; fused is interval with what the joints feel of a push of 20 N.
 
-    found: contacts with any point within the tracker's reach. median_mm, p90_mm, right_link: of those found. flagged: share of
-    all contacts that were not found or not sure; wrong: share of all whose point is over 5 cm off and sure.
+    found: contacts with any point within the tracker's reach. median_mm, p90_mm, right_link: of those found; sure_right_link:
+    of those that are sure. flagged: share of all contacts that were not found or not sure; wrong: share of all whose point is
+    over 5 cm off and sure.
     """
 
     mode: str
@@ -45,6 +46,7 @@ class Accuracy:
     median_mm: float | None
     p90_mm: float | None
     right_link: float | None
+    sure_right_link: float | None
     flagged: float
     wrong: float
 
@@ -102,12 +104,12 @@ def bench(device: str = "cpu", json: Path | None = None, quick: bool = False) ->
 def print_accuracy(rows: Sequence[Accuracy]) -> None:
     """Print the table of `bench_accuracy`."""
     print(f"{'mode':<9}{'noise':<7}{'obstacle':<9}{'view':<9}{'contacts':>8}{'found':>6}{'median mm':>10}{'p90 mm':>7}"
-          f"{'right link %':>13}{'flagged %':>10}{'wrong %':>8}")
+          f"{'right link %':>13}{'of sure %':>10}{'flagged %':>10}{'wrong %':>8}")
     for r in rows:
-        median, p90, right = ("-" if x is None else f"{x:.{n}f}" for x, n in ((r.median_mm, 1), (r.p90_mm, 1), (_percent(
-            r.right_link), 0)))
+        median, p90, right, sure = ("-" if x is None else f"{x:.{n}f}" for x, n in (
+            (r.median_mm, 1), (r.p90_mm, 1), (_percent(r.right_link), 1), (_percent(r.sure_right_link), 1)))
         print(f"{r.mode:<9}{'yes' if r.noise else 'no':<7}{r.obstacle:<9}{r.view:<9}{r.contacts:>8}{r.found:>6}{median:>10}"
-              f"{p90:>7}{right:>13}{100 * r.flagged:>10.0f}{100 * r.wrong:>8.1f}")
+              f"{p90:>7}{right:>13}{sure:>10}{100 * r.flagged:>10.0f}{100 * r.wrong:>8.1f}")
 
 
 def plot_accuracy(rows: Sequence[Accuracy], path: Path) -> None:
@@ -147,12 +149,13 @@ def _rows(mode: str, noise: bool, contacts: Sequence[Touch], found: Sequence[Nea
 def _row(mode: str, noise: bool, obstacle: str, view: str, chosen: Sequence[tuple[Touch, Nearest | None]],
          reach: float) -> Accuracy:
     seen = [(c, n, float(np.linalg.norm(n.p_world - c.point))) for c, n in chosen if n is not None and n.distance <= reach]
-    errors, sure = [1e3 * error for *_, error in seen], sum(n.sure for _, n, _ in seen)
+    errors, sure = [1e3 * error for *_, error in seen], [(c, n) for c, n, _ in seen if n.sure]
     return Accuracy(
         mode, noise, obstacle, view, len(chosen), len(seen),
         *(float(np.percentile(errors, p)) if seen else None for p in (50, 90)),
         right_link=float(np.mean([c.link == n.link for c, n, _ in seen])) if seen else None,
-        flagged=1.0 - sure / max(len(chosen), 1),
+        sure_right_link=float(np.mean([c.link == n.link for c, n in sure])) if sure else None,
+        flagged=1.0 - len(sure) / max(len(chosen), 1),
         wrong=sum(n.sure and error > WRONG for _, n, error in seen) / max(len(chosen), 1))
 
 

@@ -125,18 +125,21 @@ class Crowd:
         until(lambda: client.drives() or self._offered(client), PATIENCE)
         if not client.drives():
             client.click("Take control")
-        until(lambda: client.drives() or self._handed_over(client), PATIENCE)
+        agreed: set[Client] = set()
+        until(lambda: client.drives() or self._agree(client, agreed), PATIENCE)
         return client
 
     def _offered(self, client: Client) -> bool:
         props = client.gui[client.widget("Take control")]["props"]
         return props["visible"] and not props["disabled"]
 
-    def _handed_over(self, asker: Client) -> bool:
+    def _agree(self, asker: Client, agreed: set[Client]) -> bool:
+        """Whoever of the others is asked for the seat hands it over, once."""
         for client in self._clients:
-            if client is not asker and client not in self._frozen and not client.closed.is_set():
+            if client is not asker and client not in agreed and client not in self._frozen and not client.closed.is_set():
                 with contextlib.suppress(KeyError, ConnectionError):
                     if client.gui[client.widget("Hand over")]["props"]["visible"]:
+                        agreed.add(client)
                         client.click("Hand over")
         return False
 

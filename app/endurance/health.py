@@ -104,4 +104,6 @@ def faults(found: dict[str, Any], errors: Sequence[str]) -> list[str]:
             told.append(f"{name} grew from {before:.0f} to {after:.0f}")
     if found["real_time_factor"] < FACTOR:
         told.append(f"the real-time factor is {found['real_time_factor']:.3f}, of {FACTOR} at least")
+    if found["recording"]["trouble"]:
+        told.append(f"recording: {found['recording']['trouble']}")
     return [*told, *(f"error: {error}" for error in errors)]

@@ -18,11 +18,12 @@ from app.bench.report import check, write
 from app.browser import launched, opened
 from app.endurance.crowd import riot
 from app.endurance.health import Health, Sample, Steps, faults, summary
-from app.endurance.rotation import Rotation
 from app.record.recorder import Recorder
 from app.serve.access import Access
 from app.serve.main import Page
+from hrc.cell import scenario
 from hrc.cell.eyes import rig
+from hrc.config import Config
 from hrc.errors import HrcError
 from hrc.parameters import keys
 from hrc.scene import load_scene
@@ -31,6 +32,9 @@ from hrc.vision.camera import Camera
 BROWSERS = 2
 ROWS = 20
 """Lines of the printed table."""
+KEPT = 3
+"""Files of the recording that stay; older ones are deleted."""
+SCENARIO = "free"
 
 
 @dataclass(frozen=True)
@@ -123,36 +127,44 @@ def _run(job: Job, folder: Path) -> dict[str, Any]:
     errors, steps, seconds = Errors(), Steps(), 3600.0 * job.hours
     with contextlib.ExitStack() as stack:
         stack.enter_context(errors.listening())
-        rotation = Rotation(folder, 60.0 * job.rotate)
-        page = Page("free", Access(port=0), seed=job.seed, say=errors.say, observers=(steps, rotation))
+        config = scenario.load(SCENARIO).configured(Config().replace(seed=job.seed))
+        recorder = _recorder(config, folder, 60.0 * job.rotate)
+        page = Page(SCENARIO, Access(port=0), seed=job.seed, say=errors.say, observers=(steps, recorder))
         stack.callback(page.close)
         page.start()
         while steps.number == 0:
             time.sleep(0.1)
-        rotation.begin(lambda path: _recorder(page, path))
         tabs = _browsers(stack, page.url, job.browsers, errors)
         context = multiprocessing.get_context("spawn")
         pool = stack.enter_context(ProcessPoolExecutor(1, context))
         over = stack.enter_context(context.Manager()).Event()
         crowd = pool.submit(riot, page.server.get_port(), job.seed, over, seconds + 60.0)
         stack.callback(over.set)
-        health = Health(steps, page.session.config.rates.base_hz if page.session.config else 1000)
-        _sample(health, page, rotation, tabs, seconds)
+        health = Health(steps, config.rates.base_hz)
+        _sample(health, page, recorder, tabs, seconds)
         over.set()
         done, failed = crowd.result(timeout=120.0)
-        rotation.close()
+        page.session.close()
         return {"conditions": {"seconds": seconds, "browsers": len(tabs), "seed": job.seed}, **summary(health.samples),
                 "done": done, "failed": failed, "refused": dict(page.guard.refused), "errors": _once(errors.found),
-                "recording": {"files": rotation.files, "bytes": rotation.bytes, "trouble": rotation.trouble}}
+                "recording": _finished(recorder)}
 
 
-def _recorder(page: Page, path: Path) -> Recorder:
-    config = page.session.config
-    assert config is not None
+def _recorder(config: Config, folder: Path, rotate: float) -> Recorder:
     scene = load_scene(config.scene)
     cameras = {setup.name: Camera(setup.camera) for setup in rig(config, scene)}
-    return Recorder(path, base_hz=config.rates.base_hz, scene=scene, cameras=cameras, parameters=keys(config),
-                    about={"scenario": page.session.scenario, "seed": config.seed})
+    return Recorder(folder / "soak.rrd", base_hz=config.rates.base_hz, scene=scene, cameras=cameras, parameters=keys(config),
+                    about={"scenario": SCENARIO, "seed": config.seed}, rotate=rotate)
+
+
+def _finished(recorder: Recorder) -> dict[str, Any]:
+    """What became of the recording."""
+    trouble = ""
+    try:
+        recorder.close()
+    except HrcError as error:
+        trouble = str(error)
+    return {"files": len(recorder.paths), "kept_bytes": recorder.bytes, "trouble": trouble}
 
 
 def _browsers(stack: contextlib.ExitStack, url: str, number: int, errors: Errors) -> list[Any]:
@@ -166,7 +178,7 @@ def _browsers(stack: contextlib.ExitStack, url: str, number: int, errors: Errors
     return tabs
 
 
-def _sample(health: Health, page: Page, rotation: Rotation, tabs: Sequence[Any], seconds: float) -> None:
+def _sample(health: Health, page: Page, recorder: Recorder, tabs: Sequence[Any], seconds: float) -> None:
     """Samples until the time is over; the browsers' events are handled meanwhile."""
     period = min(10.0, max(1.0, seconds / 200.0))
     with tqdm(total=round(seconds), unit="s", disable=not sys.stderr.isatty()) as bar:
@@ -176,7 +188,9 @@ def _sample(health: Health, page: Page, rotation: Rotation, tabs: Sequence[Any],
                 tabs[0].wait_for_timeout(1e3 * wait)
             else:
                 time.sleep(wait)
-            health.take(visitors=len(page.server.get_clients()), images=rotation.dropped)
+            health.take(visitors=len(page.server.get_clients()), images=recorder.images_dropped)
+            for path in recorder.paths[:-KEPT]:
+                path.unlink(missing_ok=True)
             bar.update(round(health.samples[-1].time) - bar.n)
 
 
@@ -200,5 +214,6 @@ def table(found: dict[str, Any]) -> Iterator[str]:
            f"{found['lost_s']:.1f} s dropped; {found['images_dropped']} depth images dropped")
     yield "visitors: " + ", ".join(f"{number} {name}" for name, number in sorted(found["done"].items()))
     yield from (f"  did not work out: {number} {name}" for name, number in found["failed"].items())
-    yield f"recording: {found['recording']['files']} files, {found['recording']['bytes'] / 1e6:.0f} MB"
+    yield "turned away: " + (", ".join(f"{number} {why}" for why, number in found["refused"].items()) or "nothing")
+    yield f"recording: {found['recording']['files']} files, the last of {found['recording']['kept_bytes'] / 1e6:.0f} MB"
     yield from found["faults"] or ["all as it must be"]

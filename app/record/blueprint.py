@@ -20,19 +20,21 @@ def review(cameras: Sequence[str], *, replayed: bool = False) -> rrb.Blueprint:
     events = rrb.TextLogView(name="Events", origin=entities.EVENTS)
     parameters = rrb.TextDocumentView(name="Parameters", origin=entities.PARAMETERS)
     left = rrb.Vertical(scene, rrb.StateTimelineView(name="State", origin="/state"), rrb.Tabs(events, parameters),
-                        row_shares=[6, 1.2, 1.8])
+                        row_shares=[5.6, 1.9, 1.9])
     pairs = [rrb.Horizontal(_image("Depth", name, entities.depth(name)), _image("Links seen", name, entities.link_ids(name)),
                             name=name) for name in cameras]
     images = pairs[0] if len(pairs) == 1 else rrb.Tabs(*pairs)
+    forces = rrb.Tabs(_curves("|F| [N] and thresholds", entities.FORCE_PLOT, *[entities.REPLAYED_FORCE_PLOT] * replayed),
+                      plot("Force [N]: estimate, truth", "force_est", "force_true"))
+    residuals = rrb.Tabs(_curves("|r| / r_low", entities.RESIDUAL_PLOT), plot("Residual [N m]", "residual"))
     more = rrb.Tabs(
-        plot("End effector [m]", "ee", "ee_desired"), plot("Joint positions [rad]", "q"),
+        plot("End effector [m]", "ee", "ee_desired"), plot("Admittance error [m]", "admittance_error"),
+        _curves("Period of a control cycle [ms]", entities.PERIOD_PLOT), plot("Joint positions [rad]", "q"),
         plot("Joint velocities [rad/s]", "dq", "dq_command"), plot("Torques [N m]", "tau"),
         plot("Distance [m]", *(f"clearance_{link}" for link in range(1, 8))),
         plot("Link: estimate, truth", "contact_link_est", "contact_link_true"),
-        plot("Admittance error [m]", "admittance_error"), plot("Power [W]", "contact_power"),
-        plot("sigma_min [m]", "sigma_min"))
-    right = rrb.Vertical(images, plot("Contact force [N]: estimate, truth", "force_est", "force_true"),
-                         plot("Residual [N m]", "residual"), more, row_shares=[2, 1.6, 1.6, 1.6])
+        plot("Power [W]", "contact_power"), plot("sigma_min [m]", "sigma_min"))
+    right = rrb.Vertical(images, forces, residuals, more, row_shares=[2, 1.6, 1.6, 1.6])
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[1.25, 1]),
         rrb.TimePanel(state="collapsed", timeline="sim_time"), rrb.SelectionPanel(state="collapsed"),
@@ -44,6 +46,9 @@ def _image(name: str, camera: str, entity: str) -> rrb.Spatial2DView:
 
 
 def _plot(name: str, *signals: str, origins: Sequence[str]) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(name=name, origin="/" if len(origins) > 1 else origins[0],
-                              contents=[f"{origin}/{signal}" for origin in origins for signal in signals],
+    return _curves(name, *(f"{origin}/{signal}" for origin in origins for signal in signals))
+
+
+def _curves(name: str, *contents: str) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(name=name, origin="/", contents=contents,
                               plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop))

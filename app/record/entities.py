@@ -18,7 +18,9 @@ TOUCHES = "/world/contact/touches"
 POINT_EST, FORCE_EST = "/world/contact/point_est", "/world/contact/force_est"
 POINT_TRUE, FORCE_TRUE = "/world/contact/point_true", "/world/contact/force_true"
 SIGNALS = "/signals"
+FORCE_PLOT, RESIDUAL_PLOT, PERIOD_PLOT = "/plots/force", "/plots/residual", "/plots/period"
 REPLAY = "/replay"
+REPLAYED_FORCE_PLOT = "/replay/plots/force"
 REPLAYED_STATE = "/state/replayed"
 STATE = "/state/mode"
 CAMERA_STATES = "/state/cameras"
@@ -29,6 +31,7 @@ METRES_PER_NEWTON = 0.01
 """Length of a force arrow."""
 
 ESTIMATE, TRUTH, SIGHT = (255, 90, 60), (80, 220, 120), (90, 180, 255)
+F_RELAX, F_ABORT = (204, 133, 14), (160, 95, 220)
 TOUCHED = (230, 40, 40)
 AXES = ((240, 80, 80), (90, 210, 90), (90, 150, 255))
 JOINTS = palette.LINKS[1:]

@@ -160,7 +160,8 @@ def write_parquet(path: Path, columns: Columns, about: Mapping[str, Any] | None 
     arrays, fields = [], []
     for signal in SIGNALS:
         values = columns[signal.name]
-        flat = pa.array(values.reshape(-1).tolist() if signal.kind == "mode" else values.reshape(-1), from_pandas=False)
+        mode = signal.kind == "mode"
+        flat = pa.array(values.tolist(), pa.string()) if mode else pa.array(values.reshape(-1), from_pandas=False)
         array = pa.FixedSizeListArray.from_arrays(flat, signal.width) if signal.width > 1 else flat
         arrays.append(array)
         fields.append(pa.field(signal.name, array.type, nullable=False,

@@ -37,25 +37,51 @@ class SessionWriter:
         self._colours = {body.name: entities.bytes_of(body.rgb) for body in scene.bodies}
         self._present: dict[str, bool] = {}
         self._link = -1
+        self._shown: dict[str, Body | BodySpec] = {body.name: body for body in scene.bodies}
+        self._state: dict[str, str] = {}
+        self._now = dict(parameters)
         # The batcher sees only what is logged singly: a slow tick makes fewer and larger chunks of it.
         batching = rr.ChunkBatcherConfig(flush_tick=0.25)
         self._stream = rr.RecordingStream(APPLICATION, batcher_config=batching)
         self._stream.set_log_time_enabled(False)
-        self._stream.set_sinks(rr.FileSink(os.fspath(path)), default_blueprint=blueprint.review(tuple(cameras)))
-        self._log_session(parameters, about)
-        self._log_scene(scene)
-        for name, camera in cameras.items():
+        self._about, self._parameters, self._scene, self._cameras = about, parameters, scene, cameras
+        self._open(path, 0)
+
+    def turn_over(self, path: Path, tick: int) -> None:
+        """Finish the file, and go on in another that can be looked at alone, or together with the others."""
+        self._open(path, tick)
+        for entity, state in self._state.items():
+            self._stream.log(entity, rr.StateChange(state=state))
+
+    def _open(self, path: Path, tick: int) -> None:
+        self._stream.set_sinks(rr.FileSink(os.fspath(path)), default_blueprint=blueprint.review(tuple(self._cameras)))
+        self._at(tick)
+        self._log_session(self._parameters, self._about)
+        self._log_scene(self._scene)
+        for name, camera in self._cameras.items():
             self._log_camera(name, camera)
         self._log_styles()
 
-    def rows(self, rows: NDArray[np.float64]) -> None:
-        """Signals of consecutive control ticks, shape (n, WIDTH), and the contact they hold."""
+    def set(self, key: str, value: Any) -> None:
+        """A parameter has changed; None: all are again as at the start."""
+        self._now = {**self._now, key: value} if value is not None else dict(self._parameters)
+
+    def rows(self, rows: NDArray[np.float64], periods: NDArray[np.float64]) -> None:
+        """Signals of consecutive control ticks, shape (n, WIDTH), and the contact they hold.
+
+        periods: wall time from the control tick before to each [s], shape (n,).
+        """
         ticks = rows[:, AT["tick"]][:, 0].astype(np.int64)
         index = self._index(ticks)
         for signal in PLOTTED:
             values = np.array(rows[:, AT[signal.name]])
             values[np.isinf(values)] = np.nan  # a curve has a gap where there is nothing
             self._stream.send_columns(f"{entities.SIGNALS}/{signal.name}", index, rr.Scalars.columns(scalars=values))
+        force = force_curves(rows[:, AT["force_est"]], rows[:, AT["force_true"]], self._now)
+        ratio = np.abs(rows[:, AT["residual"]]) / np.asarray(self._now["observer.r_low"])
+        for entity, curves in ((entities.FORCE_PLOT, force), (entities.PERIOD_PLOT, 1e3 * periods[:, None]),
+                               (entities.RESIDUAL_PLOT, np.column_stack([ratio, np.ones(len(ratio))]))):
+            self._stream.send_columns(entity, index, rr.Scalars.columns(scalars=np.ascontiguousarray(curves)))
         self._point(entities.REFERENCE, index, rows[:, AT["ee_desired"]])
         for name, point, force in (("est", entities.POINT_EST, entities.FORCE_EST),
                                    ("true", entities.POINT_TRUE, entities.FORCE_TRUE)):
@@ -103,7 +129,7 @@ class SessionWriter:
                              np.array([body.T_world_body for _, body in track]))
             for tick, body in track:
                 if self._present.get(name) is not body.present:
-                    self._present[name] = body.present
+                    self._present[name], self._shown[name] = body.present, body
                     self._at(tick)
                     self._stream.log(entity, self._shape(body, shown=body.present))
 
@@ -118,13 +144,13 @@ class SessionWriter:
         """A camera falls silent, or delivers images again."""
         state = entities.SILENT if silent else entities.DELIVERS
         self._at(tick)
-        self._stream.log(entities.camera_state(camera), rr.StateChange(state=state))
+        self._change(entities.camera_state(camera), state)
         self._stream.log(entities.EVENTS, rr.TextLog(f"camera {camera} {state}", level="WARN" if silent else "INFO"))
 
     def mode(self, tick: int, mode: Mode, reason: str) -> None:
         """A transition of the reaction."""
         self._at(tick)
-        self._stream.log(entities.STATE, rr.StateChange(state=mode.value))
+        self._change(entities.STATE, mode.value)
         text = f"-> {mode.value}" + (f": {reason}" if reason else "")
         self._stream.log(entities.EVENTS, rr.TextLog(text, level="WARN" if mode is Mode.STOP else "INFO"))
 
@@ -141,6 +167,10 @@ class SessionWriter:
     def close(self) -> None:
         """Finish the file: its footer makes it open at once."""
         self._stream.disconnect()
+
+    def _change(self, entity: str, state: str) -> None:
+        self._state[entity] = state
+        self._stream.log(entity, rr.StateChange(state=state))
 
     def _at(self, tick: int) -> None:
         self._stream.set_time("sim_time", duration=np.timedelta64(tick * self._tick_ns, "ns"))
@@ -208,14 +238,13 @@ class SessionWriter:
             shape = rr.Boxes3D(centers=[box.centre], half_sizes=[box.half], colors=[entities.bytes_of(box.rgb)],
                                fill_mode="solid")
             self._log_static(f"{entities.ENVIRONMENT}/{box.name}", shape)
-        self._at(0)
         for link, (name, mesh) in enumerate(zip(LINKS, meshes.robot("perception"), strict=True)):
             shape = rr.Mesh3D(vertex_positions=mesh.vertices, triangle_indices=mesh.faces, vertex_normals=mesh.normals)
             self._log_static(f"{entities.ROBOT}/{name}", shape)
-            self._colour_link(link)  # not static: static data would hide the red of a touched link
-        for body in scene.bodies:
-            self._present[body.name] = False
-            self._stream.log(f"{entities.OBSTACLES}/{body.name}", self._shape(body, shown=False))
+            # Not static: static data would hide the red of a touched link.
+            self._colour_link(link, entities.TOUCHED if link == self._link else None)
+        for name, body in self._shown.items():
+            self._stream.log(f"{entities.OBSTACLES}/{name}", self._shape(body, shown=self._present.get(name, False)))
         self._log_static(entities.CAMERAS, rr.AnnotationContext(list(entities.LINK_CLASSES)))
 
     def _log_camera(self, name: str, camera: Camera) -> None:
@@ -243,6 +272,12 @@ class SessionWriter:
         self._log_static(entities.TOUCHES, rr.Points3D.from_fields(radii=[0.014]))
         for signal in PLOTTED:
             self._log_static(f"{entities.SIGNALS}/{signal.name}", series(signal.name, signal.width))
+        self._log_static(entities.FORCE_PLOT, force_styles("|F| estimated", "|F| true"))
+        self._log_static(entities.RESIDUAL_PLOT, rr.SeriesLines.from_fields(
+            names=[*(f"joint {joint}" for joint in range(1, 8)), "detection"], colors=[*entities.JOINTS, entities.TOUCHED],
+            widths=[1.2] * 8))
+        period = rr.SeriesLines.from_fields(names=["period"], colors=[entities.SIGHT], widths=[1.2])
+        self._log_static(entities.PERIOD_PLOT, period)
         self._log_static(entities.STATE, states({mode.value: colour for mode, colour in entities.MODES.items()}))
 
     def _log_static(self, entity: str, archetype: Any) -> None:
@@ -253,6 +288,19 @@ def states(colours: Mapping[str, palette.Colour]) -> rr.StateConfiguration:
     """How a state timeline looks."""
     names = list(colours)
     return rr.StateConfiguration(values=names, labels=names, colors=[(*colour, 255) for colour in colours.values()])
+
+
+def force_curves(estimate: Poses, truth: Poses, parameters: Mapping[str, Any]) -> Poses:
+    """|F| estimated and true, F_relax and F_abort [N], shape (n, 4)."""
+    thresholds = [np.full(len(estimate), parameters[key]) for key in ("control.f_relax", "control.f_abort")]
+    return np.column_stack([np.linalg.norm(estimate, axis=1), np.linalg.norm(truth, axis=1), *thresholds])
+
+
+def force_styles(estimate: str, truth: str, suffix: str = "") -> rr.SeriesLines:
+    """How these four look."""
+    colours = [entities.ESTIMATE, entities.TRUTH, entities.F_RELAX, entities.F_ABORT]
+    return rr.SeriesLines(names=[estimate, truth, "F_relax" + suffix, "F_abort" + suffix], widths=[1.6, 1.6, 1.0, 1.0],
+                          colors=[entities.dimmed(colour) for colour in colours] if suffix else colours)
 
 
 def series(name: str, width: int, suffix: str = "") -> rr.SeriesLines:

@@ -35,8 +35,10 @@ MAX_MESSAGE = 64 * 1024
 """Bytes of the largest inbound message; the largest that the page really sends is about 300."""
 RATE, BURST = 400.0, 800.0
 """Messages per second that a client may send for long, and at once."""
-PATIENCE = 20
-"""Refused messages after which a client is disconnected; those that were only not its to send do not count."""
+PATIENCE, FORGIVEN = 20, 5.0
+"""Refused messages after which a client is disconnected, and after how long one of them is forgotten [s]: in hours an honest
+one presses a button now and then that has just gone. Those that were only not its to send do not count.
+"""
 MAX_CLIENTS = 32
 """Sockets open at once."""
 FOR_ALL = frozenset({"ViewerCameraMessage", "LocalStorageGetItemResponseMessage"})
@@ -176,7 +178,7 @@ class ScreenedConnection(ServerConnection):
         self.role = Role.VIEWER
         self._guard = guard
         self._credit, self._counted = guard.burst, time.monotonic()
-        self._strikes = 0
+        self._strikes, self._struck = 0.0, self._counted
         self._visitor: int | None = None
 
     async def recv(self, decode: bool | None = None) -> Any:
@@ -209,7 +211,9 @@ class ScreenedConnection(ServerConnection):
             message = screen(raw, guard.server, visitor)
         except RefusedError as reason:
             guard.refused[str(reason)] += 1
-            self._strikes += 1
+            now = time.monotonic()
+            self._strikes = max(0.0, self._strikes - (now - self._struck) / FORGIVEN) + 1.0
+            self._struck = now
             return False
         if guard.admits(visitor, message):
             return True

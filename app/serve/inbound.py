@@ -18,6 +18,9 @@ LIMIT = 1e4
 TEXT = 256
 """No string of a message is longer than this."""
 
+LARGEST_FILE = 32 * 1024
+"""Bytes of the largest file that may be uploaded, in one piece; one with all settings has about 5000."""
+
 
 class RefusedError(Exception):
     """The message is not one that this page could have sent."""
@@ -56,6 +59,14 @@ def _whole(value: Any) -> bool:
     return _number(value, 0, 2**31) and value == int(value)
 
 
+def _exactly(number: int) -> Check:
+    return lambda value: type(value) is int and value == number
+
+
+def _file(value: Any) -> bool:
+    return isinstance(value, bytes) and len(value) <= LARGEST_FILE
+
+
 def _updates(value: Any) -> bool:
     """Of a widget a client may change the value only: its callbacks, limits and life belong to the server."""
     return isinstance(value, dict) and set(value) == {"value"}
@@ -72,6 +83,14 @@ SCHEMA: dict[str, dict[str, Check]] = {
         "phase": _one_of("start", "update", "end"), "name": _text, "instance_index": _maybe(_whole),
         "start_position": _numbers(3), "start_screen_pos": _numbers(2), "end_position": _numbers(3),
         "end_screen_pos": _numbers(2), "button": _one_of("left", "middle", "right"), "modifier": _maybe(_text)},
+    "SceneNodeClickMessage": {
+        "name": _text, "instance_index": _maybe(_whole), "ray_origin": _numbers(3), "ray_direction": _numbers(3),
+        "screen_pos": _numbers(2), "modifier": _maybe(_text)},
+    "FileTransferStartUpload": {
+        "source_component_uuid": _text, "transfer_uuid": _text, "filename": _text, "mime_type": _text,
+        "part_count": _exactly(1), "size_bytes": _between(1, LARGEST_FILE)},
+    "FileTransferPart": {
+        "source_component_uuid": _text, "transfer_uuid": _text, "part_index": _exactly(0), "content": _file},
     "TransformControlsUpdateMessage": {"name": _text, "wxyz": _unit, "position": _numbers(3)},
     "TransformControlsDragStartMessage": {"name": _text},
     "TransformControlsDragEndMessage": {"name": _text},
@@ -106,6 +125,8 @@ def screen(raw: bytes | str, server: viser.ViserServer, visitor: int | None = No
             raise RefusedError(f"{name} of {kind}")
     if kind == "GuiUpdateMessage":
         _screen_widget(widget_of(fields["uuid"], server, visitor), fields["updates"]["value"])
+    if "source_component_uuid" in schema:
+        _screen_upload(widget_of(fields["source_component_uuid"], server, visitor))
     return message
 
 
@@ -116,6 +137,14 @@ def widget_of(uuid: str, server: viser.ViserServer, visitor: int | None) -> Any:
     if widget is None and client is not None:
         widget = client.gui._gui_input_handle_from_uuid.get(uuid)
     return widget
+
+
+def _screen_upload(widget: Any) -> None:
+    """A file may be sent to a button that is there for it."""
+    if not isinstance(widget, viser.GuiUploadButtonHandle):
+        raise RefusedError("no such widget")
+    if widget.disabled or not widget.visible:
+        raise RefusedError("a widget that is disabled or hidden")
 
 
 def _screen_widget(widget: Any, value: Any) -> None:

@@ -6,13 +6,14 @@ import signal
 import threading
 import webbrowser
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-from viser.theme import TitlebarConfig, TitlebarImage
-
+from app.record.archive import Archive
 from app.serve.access import Access
 from app.serve.address import is_loopback
 from app.serve.cameras import CameraView
+from app.serve.demo import Demo
 from app.serve.distances import DistanceView
 from app.serve.forces import ForceView
 from app.serve.guard import Guard
@@ -22,20 +23,22 @@ from app.serve.mailbox import Mailbox
 from app.serve.obstacles import ObstacleControls
 from app.serve.panel import Panel
 from app.serve.publisher import Publisher, Screen
+from app.serve.recordings import RecordingControls
 from app.serve.scene import SceneView
 from app.serve.seat_box import SeatBox
+from app.serve.selection import Selection
 from app.serve.session import Session
 from app.serve.signals import SignalView
 from app.serve.steering import Steering
+from app.serve.theme import Theme
+from app.serve.tuning import Tuning
 from hrc.cell import scenario as scenarios
 from hrc.cell.eyes import rig
 from hrc.cell.run import Observer
 from hrc.vision.kernels import check_device
 
-LOGO = TitlebarConfig(buttons=None, image=TitlebarImage(
-    image_url_light="/app/logo.svg", image_url_dark=None, image_alt="Elbowroom", href=None))
-BRAND = (224, 108, 30)
 OWN = Access()
+RECORDINGS = Path("recordings")
 
 
 class Page:
@@ -43,42 +46,50 @@ class Page:
 
     def __init__(self, scenario: str = "free", access: Access = OWN, *, device: str = "cpu",
                  settings: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), seed: int = 0,
-                 say: Callable[[str], None] = print, observers: Sequence[Observer] = ()) -> None:
+                 say: Callable[[str], None] = print, observers: Sequence[Observer] = (),
+                 recordings: Path = RECORDINGS) -> None:
         """Bind the port and build the page; the cell starts with `start`.
 
         access: where it is served, and to whom; by default to this machine. observers: see every snapshot.
+        recordings: folder for what is recorded, made with the first.
         Raises ScenarioError, ConfigError, AssetError or DeviceError for what cannot be run, and PageError for an address
         that cannot be served.
         """
         check_device(device)
         mailbox = Mailbox()
         self.journal = Journal(lambda: mailbox.latest.time if mailbox.latest is not None else 0.0)
-        self.session = Session(mailbox, device=device, settings=dict(settings), seed=seed, say=say, observers=observers)
+        archive = Archive(recordings, device)
+        self.session = Session(mailbox, device=device, settings=dict(settings), seed=seed, say=say,
+                               observers=(archive, *observers))
         config = self.session.check(scenario)
         rig(config)
         self.guard = Guard(access.keys, names=access.names, tls=access.tls)
         self.server = self.guard.open(access.host, access.port, "Elbowroom")
         self.url, self.watch_url = access.urls(self.server.get_port())
         self._scenario = scenario
-        self.server.gui.configure_theme(titlebar_content=LOGO, dark_mode=True, brand_color=BRAND, show_logo=False,
-                                        show_share_button=False)
+        theme = Theme(self.server)
         view, forces, cameras = SceneView(self.server), ForceView(self.server), CameraView(self.server)
         distances, signals = DistanceView(self.server), SignalView(self.server)
         obstacles = ObstacleControls(self.server, self.session, view, self.journal.refuse)
         steering = Steering(self.server, self.session, self.journal.refuse)
+        tuning = Tuning(self.server, self.session, config, self.journal)
+        demo = Demo(self.server, self.session, self.journal.refuse)
+        self.recordings = RecordingControls(self.server, self.session, archive, self.journal, local=is_loopback(access.host))
         listed = dict.fromkeys((*scenarios.names(), scenario))
         layers = {
             "Forces": _switch(forces, "show_forces"), "Distances and touches": _switch(distances, "show_distances"),
             "Foreground points": _switch(cameras, "show_cloud"), "Depth cameras": _switch(cameras, "show_cameras"),
             "Camera images": _switch(signals.images, "show_images"), "Path of the tool": _switch(view, "show_trail")}
         panel = Panel(self.server, self.session, scenarios=tuple(listed), scenario=scenario, config=config, look=view.look,
-                      layers=layers, obstacles=obstacles, steering=steering, journal=self.journal)
+                      layers=layers, obstacles=obstacles, steering=steering, tuning=tuning, demo=demo,
+                      theme=theme, recordings=self.recordings, journal=self.journal)
         self._hands = Hands(self.server, self.session, view, self.journal.refuse)
         self.guard.free(*panel.for_all)
         self.guard.seat.on_left(self._hands.let_go_of)
         self.guard.seat.on_left(obstacles.let_go_of)
         self.seat_box = SeatBox(self.guard, self.server, panel.seat, self.journal.tell)
-        screen = Screen(view, forces, cameras, distances, obstacles, steering, panel, signals, self.journal)
+        screen = Screen(view, forces, cameras, distances, obstacles, steering, panel, signals, tuning, demo, Selection(view),
+                        self.journal)
         self._publisher = Publisher(self.server, self.session, mailbox, screen, config)
 
     def start(self) -> None:
@@ -91,6 +102,7 @@ class Page:
         self._hands.close()
         self.session.close()
         self._publisher.close()
+        self.recordings.close()
         with contextlib.redirect_stdout(io.StringIO()):  # viser announces its end on stdout
             self.server.stop()
 
@@ -101,15 +113,17 @@ def _switch(part: object, name: str) -> Callable[[bool], None]:
 
 
 def serve(scenario: str = "free", access: Access = OWN, device: str = "cpu",
-          settings: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), seed: int = 0, open_browser: bool = False) -> None:
+          settings: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), seed: int = 0, open_browser: bool = False,
+          recordings: Path = RECORDINGS) -> None:
     """Serve the page until Ctrl-C or SIGTERM.
 
-    access: where, and to whom. settings: parameters by key, over the scenario's own.
+    access: where, and to whom. settings: parameters by key, over the scenario's own. recordings: folder for them.
 
     Raises ScenarioError, ConfigError, AssetError, DeviceError or PageError before anything is served.
     """
     print("loading ...", flush=True)
-    page = Page(scenario, access, device=device, settings=settings, seed=seed, say=lambda line: print(line, flush=True))
+    page = Page(scenario, access, device=device, settings=settings, seed=seed, say=lambda line: print(line, flush=True),
+                recordings=recordings)
     over = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: over.set())

@@ -6,27 +6,33 @@ from typing import Any
 import viser
 
 from app.serve.banner import banner, facts
+from app.serve.commands import Commands
+from app.serve.demo import Demo
+from app.serve.inputs import Inputs
 from app.serve.journal import Journal
 from app.serve.obstacles import ObstacleControls
+from app.serve.recordings import RecordingControls
 from app.serve.scene import VIEWS
 from app.serve.session import Session
 from app.serve.steering import Steering
+from app.serve.theme import Theme
+from app.serve.tuning import Tuning
 from hrc.config import Config
 from hrc.errors import HrcError
-from hrc.events import Event, Resume, SetParameter, Stop
+from hrc.events import Event, Resume, Stop
 from hrc.messages import Mode, Snapshot
-from hrc.parameters import field_of, keys
 
-SLIDERS = {"control.f_relax": "F_relax", "control.f_abort": "F_abort", "push.stiffness": "Push stiffness"}
-UNPLUGGED, REGION = "sensor.unplugged", "exposure.region"
+SHORTCUTS = {"control.f_relax": "F_relax", "control.f_abort": "F_abort", "push.stiffness": "Push stiffness",
+             "exposure.region": "Touches the"}
+"""Parameters that stand on the first tab too, and their labels there."""
+UNPLUGGED = "sensor.unplugged"
 PLAY = ("Pause", "Play")
 STEP_TICKS = 10
-HINT = """<ul class="eb-hint">
-<li><b>Push the arm:</b> drag a link with the left mouse button. Gently it gives way, hard it abandons
-its task. The arm goes on along its path while the hand stays: move with it.</li>
-<li><b>Steer:</b> choose the task <i>follow</i> and drag the arrows at the tool, or use the arrow keys.</li>
-<li><b>Bring an obstacle:</b> drag the blue ball, or its arrows, into the arm: the depth camera sees it.</li>
-<li><b>Look around:</b> drag the background; the wheel zooms. <b>Esc</b> stops the arm.</li></ul>"""
+HINT = """<div class="eb-hint"><button aria-label="Do not show this again">&times;</button>
+<p><b>Push:</b> drag a link of the arm with the mouse.</p>
+<p><b>Steer:</b> choose the task <i>follow</i>, drag the arrows.</p>
+<p><b>Bring an obstacle:</b> drag the blue ball into the arm.</p></div>"""
+HELP = '<div class="eb-small"><a href="/app/help.html" target="_blank">What is this? The page explained</a></div>'
 NO_SAFETY = '<div class="eb-small">Stops the simulated arm. Not a safety function.</div>'
 WIDTH = 320
 
@@ -40,9 +46,11 @@ class Panel:
     def __init__(self, server: viser.ViserServer, session: Session, *, scenarios: Sequence[str], scenario: str,
                  config: Config, look: Callable[[viser.ClientHandle, str], None],
                  layers: Mapping[str, Callable[[bool], None]], obstacles: ObstacleControls, steering: Steering,
-                 journal: Journal) -> None:
+                 tuning: Tuning, demo: Demo, theme: Theme, recordings: RecordingControls, journal: Journal) -> None:
         """look: moves one browser's view. layers: what can be shown or not, by its label."""
         self._server, self._session, self._journal, self._config = server, session, journal, config
+        self._inputs, self._tuning, self._demo = Inputs(server, config, session.put, journal.refuse), tuning, demo
+        self._recordings = recordings
         self._beat = 0
         self.for_all: list[Any] = []
         gui = server.gui
@@ -55,6 +63,8 @@ class Panel:
         gui.add_html(NO_SAFETY)
         self.seat = gui.add_folder("Who drives")
         gui.add_html(HINT)
+        demo.add()
+        gui.add_html(HELP)
         with gui.add_folder("Run"):
             self._run = gui.add_button_group("Simulation", (PLAY[0], "Step", "Reset"))
             self._speed = gui.add_slider("Speed", min=0.1, max=2.0, step=0.1, initial_value=1.0,
@@ -64,18 +74,21 @@ class Panel:
             steering.add_task(config)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Contact", viser.Icon.HAND_FINGER):
-            self._inputs: dict[str, viser.GuiInputHandle[Any]] = {
-                key: self._slider(config, key, label) for key, label in SLIDERS.items()}
-            self._inputs[REGION] = self._choice(REGION, "Touches the")
+            for key, label in SHORTCUTS.items():
+                self._inputs.add(key, label)
         with tabs.add_tab("Obstacles", viser.Icon.BALL_FOOTBALL):
             obstacles.add_boxes()
         with tabs.add_tab("Posture", viser.Icon.STRETCHING):
             steering.add_posture()
         with tabs.add_tab("View", viser.Icon.EYE):
-            self._add_view(look, layers)
+            self._add_view(look, layers, theme)
+        with tabs.add_tab("Parameters", viser.Icon.ADJUSTMENTS):
+            tuning.add(self._inputs)
+        with tabs.add_tab("Record", viser.Icon.PLAYER_RECORD):
+            recordings.add()
         with tabs.add_tab("Log", viser.Icon.LIST):
             self._log = gui.add_html(journal.html())
-        self._connect()
+        self._connect(look, theme)
 
     def update(self, snapshot: Snapshot | None) -> None:
         """Banner and buttons, as things are now."""
@@ -86,52 +99,21 @@ class Panel:
         self._run.options = (PLAY[self._session.paused], "Step", "Reset")
 
     def update_log(self) -> None:
-        """The log, if it has changed."""
+        """The log and the recording, if they have changed."""
+        self._recordings.update()
         self._log.content = self._journal.html()
 
     def show_parameters(self, config: Config) -> None:
         """Set the widgets to what the cell has: after a start, a reset, or a change that it did not take."""
-        self._config = config
-        values = keys(config)
-        for key, widget in self._inputs.items():
-            widget.value = values[key]
-
-    def _slider(self, config: Config, key: str, label: str) -> viser.GuiSliderHandle[float]:
-        """A slider made from the parameter's field: range, unit, and its docstring as the tooltip."""
-        field, (group, name) = field_of(config, key), key.split(".")
-        low, high, unit = field.metadata["low"], field.metadata["high"], field.metadata["unit"]
-        slider = self._server.gui.add_slider(
-            f"{label} [{unit}]", min=low, max=high, step=0.5 if high - low < 200.0 else 10.0,
-            initial_value=keys(config)[key], hint=type(getattr(config, group)).docs()[name])
-        slider.on_update(self._sets(key))
-        return slider
-
-    def _checkbox(self, key: str, label: str) -> viser.GuiCheckboxHandle:
-        group, name = key.split(".")
-        box = self._server.gui.add_checkbox(label, keys(self._config)[key],
-                                            hint=type(getattr(self._config, group)).docs()[name])
-        box.on_update(self._sets(key))
-        return box
-
-    def _choice(self, key: str, label: str) -> viser.GuiDropdownHandle[str]:
-        field, (group, name) = field_of(self._config, key), key.split(".")
-        choice = self._server.gui.add_dropdown(label, field.metadata["options"], initial_value=keys(self._config)[key],
-                                               hint=type(getattr(self._config, group)).docs()[name])
-        choice.on_update(self._sets(key))
-        return choice
-
-    def _sets(self, key: str) -> Callable[[Any], Any]:
-        async def on_update(event: viser.GuiEvent[Any]) -> None:
-            if event.client_id is not None:  # else it was set by `show_parameters`
-                self._put(SetParameter(key, event.target.value))
-
-        return on_update
+        self._config = self._tuning.config = config
+        self._inputs.show(config)
 
     def _add_view(self, look: Callable[[viser.ClientHandle, str], None],
-                  layers: Mapping[str, Callable[[bool], None]]) -> None:
+                  layers: Mapping[str, Callable[[bool], None]], theme: Theme) -> None:
         gui = self._server.gui
-        views = gui.add_button_group("Look from", tuple(VIEWS))
-        self.for_all.append(views)
+        views = gui.add_button_group("Look from", tuple(VIEWS), hint="The keys 1, 2 and 3 do the same")
+        brightness = gui.add_button("Light or dark", icon=viser.Icon.SUN_MOON, hint="The page of this visitor (L)")
+        self.for_all += [views, brightness]
 
         async def on_look(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
@@ -146,13 +128,18 @@ class Panel:
         async def light(event: viser.GuiEvent[Any]) -> None:
             self._server.scene.configure_default_lights(cast_shadow=event.target.value)
 
+        async def on_brightness(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None:
+                theme.toggle(event.client)
+
         views.on_click(on_look)
+        brightness.on_click(on_brightness)
         for label, show in layers.items():
             gui.add_checkbox(label, True).on_update(on_update(show))
-        self._inputs[UNPLUGGED] = self._checkbox(UNPLUGGED, "Unplug the cameras")
+        self._inputs.add(UNPLUGGED, "Unplug the cameras")
         gui.add_checkbox("Shadows", False, hint="Costly without a graphics card").on_update(light)
 
-    def _connect(self) -> None:
+    def _connect(self, look: Callable[[viser.ClientHandle, str], None], theme: Theme) -> None:
         async def stop(_: Any) -> None:
             self._put(Stop())
 
@@ -180,9 +167,22 @@ class Panel:
         self._run.on_click(run)
         self._speed.on_update(speed)
         self._scenario.on_update(scenario)
-        command = self._server.gui.add_command("Stop the arm", icon=viser.Icon.HAND_STOP)
-        command.on_trigger(stop)
-        self.for_all += [self._stop, command]
+        commands = Commands(self._server)
+        commands.add("Stop the arm", lambda _: self._put(Stop()), icon=viser.Icon.HAND_STOP, for_all=True)
+        commands.add("Resume", lambda _: self._put(Resume()), "R", icon=viser.Icon.PLAYER_PLAY)
+        commands.add("Pause or play", lambda _: self._toggle_pause(), "P", icon=viser.Icon.PLAYER_PAUSE)
+        commands.add("Step", lambda _: self._session.step(STEP_TICKS), "N", icon=viser.Icon.PLAYER_TRACK_NEXT)
+        commands.add("Reset", lambda _: self._try(self._session.reset), "backspace", icon=viser.Icon.REFRESH)
+        commands.add("Guided demo", lambda _: self._demo.toggle(), "G", icon=viser.Icon.PRESENTATION)
+        commands.add("All parameters to default", lambda _: self._tuning.reset(), icon=viser.Icon.ARROW_BACK_UP)
+        for key, view in enumerate(VIEWS, start=1):
+            commands.add(f"Look from: {view}", lambda client, view=view: look(client, view), str(key),
+                         icon=viser.Icon.CAMERA, for_all=True)
+        commands.add("Light or dark", theme.toggle, "L", icon=viser.Icon.SUN_MOON, for_all=True)
+        self.for_all += [self._stop, *commands.for_all]
+
+    def _toggle_pause(self) -> None:
+        self._session.paused = not self._session.paused
 
     def _put(self, event: Event) -> None:
         self._try(lambda: self._session.put(event))

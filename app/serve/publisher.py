@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import viser
 
 from app.serve.cameras import CameraView
+from app.serve.demo import Demo
 from app.serve.distances import DistanceView
 from app.serve.forces import ForceView
 from app.serve.journal import Journal
@@ -19,9 +20,11 @@ from app.serve.mailbox import Mailbox
 from app.serve.obstacles import ObstacleControls
 from app.serve.panel import Panel
 from app.serve.scene import SceneView
+from app.serve.selection import Selection
 from app.serve.session import Session
 from app.serve.signals import SignalView
 from app.serve.steering import Steering
+from app.serve.tuning import Tuning
 from hrc.cell.eyes import rig
 from hrc.config import Config
 from hrc.errors import ConfigError
@@ -31,8 +34,8 @@ from hrc.parameters import replaced
 from hrc.scene import load_scene
 
 POSE_HZ = 30
-CLOUD_EVERY, IMAGE_EVERY, PANEL_EVERY, TRAIL_EVERY = 2, 2, 3, 6
-"""In beats of POSE_HZ: cloud and camera images 15 Hz, banner and plot 10 Hz, tool path 5 Hz."""
+CLOUD_EVERY, IMAGE_EVERY, PANEL_EVERY, NUMBERS_EVERY, TRAIL_EVERY = 2, 2, 3, 6, 6
+"""In beats of POSE_HZ: cloud and camera images 15 Hz, banner and plot 10 Hz, numbers and tool path 5 Hz."""
 
 
 @dataclass
@@ -47,6 +50,9 @@ class Screen:
     steering: Steering
     panel: Panel
     signals: SignalView
+    tuning: Tuning
+    demo: Demo
+    selection: Selection
     journal: Journal
 
 
@@ -90,6 +96,8 @@ class Publisher:
         if beat % PANEL_EVERY == 0:
             self._screen.panel.update(snapshot)
             self._screen.panel.update_log()
+        if snapshot is not None:
+            self._screen.demo.update(snapshot)
         if snapshot is not None and watched:
             self._draw(beat, snapshot)
 
@@ -104,6 +112,8 @@ class Publisher:
             self._screen.steering.update(snapshot)
             control = self._config.control
             self._screen.signals.update_plot(self._mailbox.forces(), control.f_relax, control.f_abort)
+        if beat % NUMBERS_EVERY == 2:
+            self._screen.signals.numbers.update(snapshot, self._config, self._session.stages(), self._screen.selection.link)
         if beat % IMAGE_EVERY == 1:
             self._screen.signals.images.update(snapshot)
         if beat % TRAIL_EVERY == 3:
@@ -119,6 +129,7 @@ class Publisher:
                 self._adopt(self._begun)
                 self._screen.obstacles.forget()
                 self._screen.steering.begin(self._begun)
+                self._screen.demo.begin()
                 self._screen.view.forget_trail()
             elif isinstance(note.subject, SetParameter):
                 self._set(note.subject, refused=bool(note.refused))
@@ -140,6 +151,8 @@ class Publisher:
         self._screen.signals.images.begin(cameras)
         self._screen.obstacles.forget()
         self._screen.steering.begin(config)
+        self._screen.tuning.start = config
+        self._screen.demo.begin()
         self._adopt(config)
 
     def _adopt(self, config: Config) -> None:

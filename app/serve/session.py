@@ -10,13 +10,14 @@ from enum import StrEnum
 from typing import Any
 
 from app.serve.mailbox import Mailbox
+from app.serve.stopwatch import TimedCell
 from hrc.cell import scenario
-from hrc.cell.cell import Cell
 from hrc.cell.pace import RealTime
 from hrc.cell.run import Inbox, Observer, run
 from hrc.config import Config
 from hrc.errors import HrcError
 from hrc.events import Event, MoveObstacle, Press, Reset, Resume, Stop
+from hrc.messages import Snapshot
 from hrc.parameters import replaced
 
 HOME: dict[str, tuple[float, float, float]] = {
@@ -41,11 +42,30 @@ class Status:
     text: str = ""
 
 
+class _Shield:
+    """Hands snapshots on to an observer until it fails; from then on the cell goes without it."""
+
+    def __init__(self, observer: Observer, say: Callable[[str], None]) -> None:
+        self._observer: Observer | None = observer
+        self._say = say
+
+    def on_step(self, snapshot: Snapshot) -> None:
+        if self._observer is None:
+            return
+        try:
+            self._observer.on_step(snapshot)
+        except Exception as error:  # whatever it is, the arm must not suffer from who looks on
+            name, self._observer = type(self._observer).__name__, None
+            traceback.print_exc(file=sys.stderr)
+            self._say(f"{name} failed ({type(error).__name__}: {error}) and is left out; the cell goes on")
+
+
 class Session:
     """A cell that runs in real time in a thread of its own, one scenario after another.
 
     settings: `group.name` -> value, over each scenario's own. say: told what is going on, for the terminal.
-    observers: see every snapshot beside the mailbox. config: the running cell's, at its start; None before the first.
+    observers: see every snapshot beside the mailbox; one that fails is left out.
+    config: the running cell's, at its start; None before the first.
     """
 
     def __init__(self, mailbox: Mailbox, *, device: str = "cpu", settings: Mapping[str, Any] | None = None,
@@ -54,13 +74,14 @@ class Session:
         self.scenario = ""
         self.status = Status(Phase.STARTING, "starting")
         self._mailbox, self._device, self._seed, self._say = mailbox, device, seed, say
-        self._observers = (mailbox, *observers)
+        self._observers = (mailbox, *(_Shield(observer, say) for observer in observers))
         self._settings = dict(settings or {})
         self._wanted: queue.Queue[str | None] = queue.Queue()
         self._inbox: Inbox | None = None
         self._pacer = RealTime()
         self._leave = threading.Event()
         self._welcome: tuple[Event, ...] = ()
+        self._cell: TimedCell | None = None
         self._thread = threading.Thread(target=self._loop, name="cell", daemon=True)
 
     def check(self, name: str) -> Config:
@@ -141,6 +162,10 @@ class Session:
         """Whether the machine is too slow: steps are dropped, and enough of them to see."""
         return self._pacer.capped and self._pacer.factor < 0.97 * self._pacer.speed
 
+    def stages(self) -> Mapping[str, tuple[float, float]]:
+        """Of each stage of the cell the time of one run [s], and its part of a core."""
+        return self._cell.stages() if self._cell is not None else {}
+
     def _loop(self) -> None:
         while (name := self._wanted.get()) is not None:
             try:
@@ -162,7 +187,7 @@ class Session:
         self.status = Status(Phase.STARTING, f'"{name}": {note}')
         self._say(f'starting "{name}": {note} ...')
         script, config = scenario.load(name), self.check(name)
-        cell = Cell(config, self._device)
+        cell = self._cell = TimedCell(config, self._device)
         brought = any(isinstance(event, (Press, MoveObstacle)) for _, event in script.events)
         self._welcome = () if brought else (MoveObstacle("ball", HOME["ball"]),)
         base_hz = config.rates.base_hz

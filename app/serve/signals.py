@@ -1,4 +1,4 @@
-"""The right dock: the contact force over time with its thresholds, and below it the images of the cameras."""
+"""The right dock: the contact force over time with its thresholds, below it the images of the cameras; beside them numbers."""
 
 from collections.abc import Sequence
 
@@ -8,13 +8,14 @@ from viser import uplot
 
 from app.serve.images import CameraImages
 from app.serve.mailbox import ForcePoint
+from app.serve.numbers import NumbersView
 
 ESTIMATE, TRUTH, RELAX, ABORT = "#ff3b30", "#34c759", "#e08e0b", "#b06ce0"
 WIDTH = 350
 
 
 class SignalView:
-    """A panel with the force plot and the camera images."""
+    """A panel with the force plot and the camera images, and on a second tab the numbers."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         panel = server.gui.add_panel()
@@ -28,6 +29,8 @@ class SignalView:
             lines = (("estimate", ESTIMATE), ("true", TRUTH), ("F_relax", RELAX), ("F_abort", ABORT))
             server.gui.add_html(_key(lines))
             self.images = CameraImages(server)
+        with panel.add_tab("Numbers", viser.Icon.LIST_NUMBERS):
+            self.numbers = NumbersView(server)
         panel.dock_right()
         panel.set_width(WIDTH)
 

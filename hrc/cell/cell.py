@@ -9,6 +9,7 @@ from hrc.cell.clock import Delayed, Rate
 from hrc.cell.eyes import Eyes, Sighting
 from hrc.cell.steering import Steering
 from hrc.cell.task import plan
+from hrc.cell.watch import Watch
 from hrc.config import Config
 from hrc.contact.estimate import ContactTracker
 from hrc.contact.friction import friction
@@ -81,7 +82,10 @@ class Cell:
     def _observe(self, state: RobotState, terms: Terms) -> Array:
         """The residual; zero without a reading, and starting anew after one: what would be made of the gap is no contact."""
         tau = self._mean_tau()
-        if state.tick != self.tick:
+        stuck = self._watch.update(state, self._commanded)
+        if stuck:
+            self._reaction.stop(f"robot: {stuck}")
+        if stuck or state.tick != self.tick:
             self._observer.reset()
             return np.zeros(7)
         tau = tau - friction(self.config.friction, state.dq)
@@ -160,6 +164,7 @@ class Cell:
         self._reaction.config = config.control
         self._steering.configure(config.task)
         self._robot.grip.config, self._robot.obstacles.config = config.push, config.obstacle
+        self._robot.faults.config = config.fault
         self._eyes.configure(config)
 
     def _take_news(self) -> tuple[tuple[Event, ...], tuple[tuple[Event, str], ...]]:
@@ -183,6 +188,7 @@ class Cell:
         path, posture, q_start = PathFollower(task.path, config.task.speed), Posture(task.q_d), task.q_start
         self._steering = Steering(config.task, task, path, posture, self._dynamics, limits, self.scene)
         self._robot.place(q_start)
+        self._robot.faults.config = config.fault
 
         if not hasattr(self, "_eyes"):
             self._eyes = self._open_eyes(config)
@@ -191,6 +197,7 @@ class Cell:
         self._sighting: Delayed[Sighting] = Delayed(round(rates.localize_latency_s * base))
 
         self._dt = 1.0 / rates.control_hz
+        self._watch = Watch(self._dt)
         self._observer, self._detector = MomentumObserver(config.observer), Detector(config.observer)
         self._acceleration = Acceleration(self._dt)
         self._zero = ResidualZero(config.zero, self._dt)

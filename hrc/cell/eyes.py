@@ -23,6 +23,8 @@ T = TypeVar("T")
 SAME_PLACE = 0.1
 """Touches that two cameras see nearer to each other than this are one [m]."""
 MOST_TOUCHES = 4
+FROZEN = 0.01
+"""A camera that repeats its image while a link has moved by this is frozen [m]."""
 APART = 7919
 """Between the seeds of two cameras, so that their noise differs."""
 
@@ -114,7 +116,7 @@ MakeSensor = Callable[[CameraSetup, Scene, int, str], Sensor]
 def simulated(setup: CameraSetup, scene: Scene, seed: int, device: str) -> DepthCamera:
     """A camera that renders the scene."""
     return DepthCamera(Camera(setup.camera), scene.environment, (*scene.bodies, HAND), setup.sensor, seed=seed,
-                       latency=setup.sensor.latency, device=device)
+                       device=device)
 
 
 class Eye:
@@ -131,7 +133,8 @@ class Eye:
         self._rate = Rate(setup.hz, config.rates.base_hz)
         self._poses: dict[int, tuple[Array, Array]] = {}
         self._frame: DepthFrame | None = None
-        self._heard = 0
+        self._first = np.zeros((8, 4, 4))  # where the robot was when the present image was new
+        self._arrived = self._heard = 0
         self._localizer.reset()
         self.configure(setup, config)
 
@@ -154,16 +157,28 @@ class Eye:
     def receive(self, tick: int) -> bool:
         """Filter the robot out of a frame that has arrived, with its poses at the frame's stamp; whether there was one.
 
-        Raises SensorError for a frame that is none; it is dropped.
+        Raises SensorError for a frame that is none, or no news; it is dropped.
         """
         frame = self._sensor.latest(tick)
         if frame is None or frame.tick not in self._poses:
             return False
         T, T_later = self._poses[frame.tick]
         self._poses = {t: poses for t, poses in self._poses.items() if t > frame.tick}
+        self._arrived = tick
+        self._check_news(frame, T)
         self._localizer.filter(frame, T, margins(T, T_later, self._base))
         self._frame, self._heard = frame, frame.tick
         return True
+
+    def _check_news(self, frame: DepthFrame, T_world_link: Array) -> None:
+        """An image that is the same to the last bit although the robot has moved is not one of now: the camera is frozen.
+
+        Only motion tells: a perfect camera repeats itself in an empty cell where nothing moves.
+        """
+        if self._frame is None or not _same(frame.depth, self._frame.depth):
+            self._first = T_world_link
+        elif np.abs(T_world_link[:, :3, 3] - self._first[:, :3, 3]).max() > FROZEN:
+            raise SensorError("it repeats one image although the robot has moved")
 
     def localize(self, tick: int, T_world_link: Array) -> Sighting:
         """What this camera sees, the robot being at T_world_link (8, 4, 4) now."""
@@ -173,6 +188,10 @@ class Eye:
     def silent(self, tick: int) -> bool:
         """Whether the newest frame is too old to say anything about now."""
         return tick - self._heard > self._silent
+
+    def late(self, tick: int) -> int:
+        """How old its images are when they arrive [ticks], if any arrive; else 0."""
+        return self._arrived - self._heard if tick - self._arrived <= self._silent else 0
 
     def view(self, tick: int, *, images: bool) -> View:
         """The newest frame and what was made of it."""
@@ -191,7 +210,7 @@ class Eyes:
     def __init__(self, scene: Scene, config: Config, device: str, sensor: MakeSensor = simulated, *,
                  images: bool = True) -> None:
         """images: keep in the views what was made of the frames; nothing but a screen or a recording needs it."""
-        self._scene, self._images = scene, images
+        self._scene, self._base_hz, self._images = scene, config.rates.base_hz, images
         self.trouble = ""
         self._eyes = [Eye(setup, scene, config, device, sensor) for setup in rig(config, scene)]
 
@@ -241,7 +260,9 @@ class Eyes:
         """Why nothing is seen now, if no camera delivers images; else empty."""
         if not all(eye.silent(tick) for eye in self._eyes):
             return ""
-        return "no camera delivers images" + (f" ({self.trouble})" if self.trouble else "")
+        late = min((eye.late(tick) for eye in self._eyes), default=0) / self._base_hz
+        trouble = self.trouble or (f"they are {late:.2f} s old when they arrive" if late > 0.0 else "")
+        return "no camera delivers images" + (f" ({trouble})" if trouble else "")
 
     def views(self, tick: int) -> tuple[View, ...]:
         """One for each camera."""
@@ -250,6 +271,11 @@ class Eyes:
     def see(self, p_world: Array) -> bool:
         """Whether a perfect camera in the place of one of them would see this point: for the truth, never for the loop."""
         return any(eye.sees(p_world) for eye in self._eyes)
+
+
+def _same(a: NDArray[np.float32], b: NDArray[np.float32]) -> bool:
+    """Whether two images are the same to the last bit; of two that are not, a few rows tell as a rule."""
+    return np.array_equal(a[::32], b[::32]) and np.array_equal(a, b)
 
 
 def _together(seen: Sequence[Sighting]) -> Sighting:

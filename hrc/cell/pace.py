@@ -52,7 +52,7 @@ class RealTime:
     def steps_due(self) -> int:
         """The ticks that the time since the last call is worth; waits a little when there are none."""
         now = self._now()
-        passed, self._last = now - self._last, now
+        passed, self._last = max(0.0, now - self._last), now  # a clock may be set back
         if self.paused:
             self._owed = 0.0
             due, self._steps_asked = self._steps_asked, 0

@@ -57,7 +57,8 @@ class PlayedCell(Cell):
 
         stops: ticks at which events come.
         """
-        self._tape, self._fixed, self._images, self._stops = tape, frozenset(fixed), images, frozenset(stops)
+        self._tape, self._fixed, self._images = tape, frozenset(fixed), images
+        self._stops = {tick + late for tick in stops for late in (0, 1)}  # the step after an event may have its effect
         self._steps = self._cycles = 0
         super().__init__(config, device)
 

@@ -4,7 +4,6 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Protocol
 
-from hrc.cell.cell import Cell
 from hrc.cell.pace import Pacer
 from hrc.cell.scenario import Scenario
 from hrc.errors import HrcError
@@ -17,6 +16,27 @@ class Observer(Protocol):
 
     def on_step(self, snapshot: Snapshot, /) -> None:
         """One step has been taken."""
+        ...
+
+
+class Steps(Protocol):
+    """What is driven: a `Cell`, or something around one."""
+
+    @property
+    def tick(self) -> int:
+        """Ticks since the start, or the last Reset."""
+        ...
+
+    def step(self) -> Snapshot:
+        """One tick."""
+        ...
+
+    def apply(self, event: Event) -> None:
+        """Take an event before the next step."""
+        ...
+
+    def refuse(self, event: Event, reason: str) -> None:
+        """Note an event that was not taken."""
         ...
 
 
@@ -67,7 +87,7 @@ class Record:
         return due
 
 
-def run(cell: Cell, pacer: Pacer, inbox: Source, observers: Iterable[Observer], *, until: int,
+def run(cell: Steps, pacer: Pacer, inbox: Source, observers: Iterable[Observer], *, until: int,
         stopped: Callable[[], bool] = lambda: False) -> None:
     """Step the cell until its tick is `until`, or `stopped()` says so.
 

@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 BRAKE = 10.0
-"""Near a position limit the velocity towards it is held to BRAKE [1/s] times the distance left."""
+"""At a position limit the velocity towards it is held to BRAKE [1/s] times the distance left."""
+BRAKING = 0.8
+"""Part of the acceleration limit with which a joint brakes before a position limit: the arm lags behind the command."""
 MARGIN = 0.05
 """Distance kept from a position limit [rad]."""
 
@@ -19,11 +21,22 @@ class Limited(NamedTuple):
     task: float
 
 
-def velocity_bounds(q: Array, q_min: Array, q_max: Array, dq_max: Array) -> tuple[Array, Array]:
-    """The least and the greatest joint velocity [rad/s] (7,) from which a position limit can still be kept."""
-    upper = np.minimum(dq_max, np.maximum(0.0, BRAKE * (q_max - MARGIN - q)))
-    lower = -np.minimum(dq_max, np.maximum(0.0, BRAKE * (q - q_min - MARGIN)))
-    return lower, upper
+def velocity_bounds(q: Array, q_min: Array, q_max: Array, dq_max: Array, ddq_max: float) -> tuple[Array, Array]:
+    """The least and the greatest joint velocity [rad/s] (7,) from which a position limit can still be kept.
+
+    ddq_max [rad/s2]: with `BRAKING` of it a joint comes down to where BRAKE takes over.
+    """
+    down, up = _approach(q - q_min - MARGIN, ddq_max), _approach(q_max - MARGIN - q, ddq_max)
+    return -np.minimum(dq_max, down), np.minimum(dq_max, up)
+
+
+def _approach(distance: Array, ddq_max: float) -> Array:
+    """The velocity at that distance [rad] from a limit [rad/s]: linear near it, then that of a constant deceleration."""
+    deceleration = BRAKING * ddq_max
+    linear = deceleration / BRAKE**2
+    distance = np.maximum(distance, 0.0)
+    return np.where(distance < linear, BRAKE * distance,
+                    np.sqrt(2.0 * deceleration * np.maximum(distance - 0.5 * linear, 0.0)))
 
 
 def limited(task: Array, null: Array, bounds: tuple[Array, Array], issued: Array, step: float) -> Limited:

@@ -379,7 +379,7 @@ class Reaction:
     def _issue(self, q: Array, wanted: _Velocity) -> None:
         """Apply the limits; what is issued is what Eq. (15) remembers."""
         q_min, q_max, dq_max = self._bounds
-        bounds = velocity_bounds(q, q_min, q_max, dq_max)
+        bounds = velocity_bounds(q, q_min, q_max, dq_max, self.config.ddq_max)
         if not np.isfinite(wanted.task.sum() + wanted.null.sum()):
             self.stop("the command is not finite")
             wanted = _Velocity(ZERO7, ZERO7)

@@ -37,10 +37,12 @@ class SensorConfig(Parameters):
     """Nothing nearer is measured."""
     farthest: float = param(4.5, low=0.1, high=100.0, unit="m")
     """Nothing farther is measured."""
-    latency: int = param(2, low=0, high=30, live=False)
+    latency: int = param(2, low=0, high=30)
     """Frames between exposure and delivery."""
     unplugged: bool = param(False)
     """Delivers nothing, as with its cable pulled."""
+    frozen: bool = param(False)
+    """Delivers its last image again and again, as if each were new."""
     extrinsic_rotation_deg: float = param(0.25, low=0.0, high=10.0, unit="deg", live=False)
     """Error of the camera's calibrated orientation, about an axis drawn from the seed."""
     extrinsic_translation: float = param(0.005, low=0.0, high=0.1, unit="m", live=False)
@@ -51,12 +53,13 @@ class DepthCamera:
     """Renders robot, obstacles and environment from its true pose, spoils the image, and delivers it late.
 
     camera: as calibrated; the true one, `true_camera`, is off by the config's extrinsic error. bodies: all obstacles
-    that may ever be drawn. latency: frames between exposure and delivery. Raises DeviceError for an unknown device.
+    that may ever be drawn. latency: frames between exposure and delivery, by
+    default those of the config. Raises DeviceError for an unknown device.
     """
 
     def __init__(self, camera: Camera, environment: Sequence[FixedBox], bodies: Sequence[BodySpec],
-                 config: SensorConfig | None = None, seed: int = 0, latency: int = 2, device: str = "cpu") -> None:
-        self._seed, self._latency = seed, latency
+                 config: SensorConfig | None = None, seed: int = 0, latency: int | None = None, device: str = "cpu") -> None:
+        self._seed, self._fixed_latency = seed, latency
         self._device = kernels.check_device(device)
         self._slot = {body.name: len(LINKS) + i for i, body in enumerate(bodies)}
         self.true_camera = _disturbed(camera, config or SensorConfig(), seed)
@@ -70,8 +73,9 @@ class DepthCamera:
         self.reset()
 
     def configure(self, config: SensorConfig) -> None:
-        """Take changed noise parameters from the next frame on; the true pose stays as it was built."""
+        """Take changed parameters from the next frame on; the true pose stays as it was built."""
         self.config, n = config, self._noise
+        self._latency = config.latency if self._fixed_latency is None else self._fixed_latency
         n.scale, n.flying, n.dropout = config.noise, config.flying, config.dropout
         n.quantum, n.nearest, n.farthest = config.quantum, config.nearest, config.farthest
         self._graph = kernels.Graph([self._raster.launch, n.launch], self._device)
@@ -79,7 +83,7 @@ class DepthCamera:
     def reset(self) -> None:
         """Forget all frames; the next one is the first again, with the same noise."""
         self._count = 0
-        self._queue: deque[DepthFrame] = deque(maxlen=self._latency + 2)
+        self._queue: deque[DepthFrame] = deque()
 
     def expose(self, tick: int, T_world_link: Array, bodies: Sequence[Body]) -> bool:
         """Take a frame with the links at these true poses (8, 4, 4) and the bodies where they are; whether one will come.
@@ -100,7 +104,10 @@ class DepthCamera:
         if self.config.unplugged:
             self._queue.clear()
             return False
-        self._queue.append(DepthFrame(tick, self._noise.image()))
+        image = self._queue[-1].depth if self.config.frozen and self._queue else self._noise.image()
+        self._queue.append(DepthFrame(tick, image))
+        while len(self._queue) > self._latency + 2:
+            self._queue.popleft()
         return True
 
     def latest(self, tick: int) -> DepthFrame | None:

@@ -18,6 +18,7 @@ from hrc.messages import LINKS, Body, RobotState, Truth
 from hrc.model import Dynamics, joint_limits, pinocchio_model
 from hrc.parameters import Parameters, param
 from hrc.scene import Scene
+from hrc.sim.faults import FaultConfig, JointFaults
 from hrc.sim.obstacles import ObstacleConfig, Obstacles
 from hrc.sim.push import Grip, PushConfig
 from hrc.sim.sensor import Encoder, TorqueSensor
@@ -73,6 +74,7 @@ class SimulatedRobot:
         self._since = 0
         self._encoder = Encoder(plant.encoder_step, self._ramp_ticks, self._dt)
         self._jitter_rng, self._late = rng.spawn(1)[0], 0
+        self.faults = JointFaults(FaultConfig())
 
     def place(self, q: Array) -> None:
         """Put the arm at rest at q [rad] (7,)."""
@@ -103,7 +105,7 @@ class SimulatedRobot:
         q_read, v_read = self._encoder.read(q_now, v_now)
         # On the link side of the gear: what the motor gives, less what it takes to turn itself.
         tau = data.qfrc_actuator[:7] - self.model.dof_armature[:7] * (v_now - v) / self._dt
-        return RobotState(self._tick, q_read, v_read, self._sensor.read(tau, v_now))
+        return RobotState(self._tick, *self.faults.spoil(q_read, v_read, self._sensor.read(tau, v_now)))
 
     def _servo(self, q: Array, v: Array, dq: Array) -> Array:
         """Computed torque [N m] (7,) towards the command, ramped over one control period."""

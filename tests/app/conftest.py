@@ -26,11 +26,11 @@ def pytest_runtest_makereport(item: pytest.Item) -> Any:
 
 
 @pytest.fixture(scope="session")
-def served() -> "Iterator[Page]":
+def served(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[Page]":
     from app.serve.access import Access  # here, so that tests of the command line do not wait for all that it loads
     from app.serve.main import Page
 
-    page = Page("free", Access(port=0), say=lambda _: None)
+    page = Page("free", Access(port=0), say=lambda _: None, recordings=tmp_path_factory.mktemp("page") / "recordings")
     page.start()
     yield page
     page.close()

@@ -21,6 +21,14 @@ VALID: dict[str, dict[str, Any]] = {
         "phase": "update", "name": "/robot/link_4", "instance_index": None, "start_position": [0.0, 0.0, 0.5],
         "start_screen_pos": [0.5, 0.5], "end_position": [0.0, 0.1, 0.5], "end_screen_pos": [0.5, 0.5], "button": "left",
         "modifier": None},
+    "SceneNodeClickMessage": {
+        "name": "/robot/link_4", "instance_index": None, "ray_origin": [2.0, 0.0, 1.0], "ray_direction": [-1.0, 0.0, 0.0],
+        "screen_pos": [0.5, 0.5], "modifier": None},
+    "FileTransferStartUpload": {
+        "source_component_uuid": "none", "transfer_uuid": "none", "filename": "a.toml", "mime_type": "", "part_count": 1,
+        "size_bytes": 5},
+    "FileTransferPart": {
+        "source_component_uuid": "none", "transfer_uuid": "none", "part_index": 0, "content": b"a = 1"},
     "TransformControlsUpdateMessage": {"name": "/gizmo", "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [0.1, 0.2, 0.3]},
     "TransformControlsDragStartMessage": {"name": "/gizmo"},
     "TransformControlsDragEndMessage": {"name": "/gizmo"},
@@ -37,6 +45,17 @@ WRONG: tuple[Any, ...] = (
 def message(kind: str, **changed: Any) -> dict[str, Any]:
     """A valid message, with these fields changed."""
     return {"type": kind, **copy.deepcopy(VALID[kind]), **changed}
+
+
+def spoiled(kind: str, **changed: Any) -> Iterator[dict[str, Any]]:
+    """Messages of a kind with one field spoiled: wrong, of another length, missing, or one too many. changed: to be valid."""
+    valid = message(kind, **{field: value for field, value in changed.items() if field in VALID[kind]})
+    for field, right in VALID[kind].items():
+        lengths = (right[:-1], [*right, 0.0]) if isinstance(right, list) else ()
+        yield from (valid | {field: wrong} for wrong in (*WRONG, *lengths)
+                    if not (isinstance(right, bytes) and isinstance(wrong, bytes)))
+        yield {key: value for key, value in valid.items() if key != field}
+    yield valid | {"more": 1}
 
 
 def damaged(seed: int, uuids: tuple[str, ...] = ()) -> Iterator[bytes]:

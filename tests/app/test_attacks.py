@@ -1,18 +1,21 @@
 """Attacks on the page: what each would gain, behind the guard and with the guard switched off.
 
 The table of the two is printed. Without the guard, which is viser as it comes, every one of them succeeds: so none is refused
-by accident, and the suite would notice a guard that does nothing.
+by accident, and the suite would notice a guard that does nothing. With ELBOWROOM_GUARD=off in the environment it runs as if
+there were none, and fails with the list of what gets through.
 """
 
 import contextlib
 import math
+import os
 import time
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
 import msgspec
 import pytest
-from fuzz import message
+from fuzz import VALID, message, spoiled
 from target import TOKEN, WATCH, Target, authorized
 from vclient import VClient, until
 
@@ -161,10 +164,13 @@ ATTACKS: dict[str, Callable[[Target], bool]] = {
 """What is tried -> whether it had its effect. A visitor has the token, unless the attack is about it."""
 
 
+GUARD = os.environ.get("ELBOWROOM_GUARD") != "off"
+
+
 def outcomes(*, guarded: bool) -> dict[str, bool]:
     gained = {}
     for name, attack in ATTACKS.items():
-        target = Target(guarded=guarded)
+        target = Target(guarded=guarded and GUARD)
         try:
             gained[name] = attack(target)
         finally:
@@ -182,3 +188,29 @@ def test_no_attack_succeeds_and_all_would_without_the_guard(capsys: pytest.Captu
             print(f"  {name:<48}{word[guarded[name]]:<12}{word[open_[name]]}")
     assert [name for name, gained in guarded.items() if gained] == []
     assert [name for name, gained in open_.items() if not gained] == [], "an attack that proves nothing"
+
+
+def test_no_message_with_a_spoiled_field_gets_in(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """NaN, out of range, of a wrong type or length, missing, or one too many: for every field of every kind of message."""
+    monkeypatch.setattr("app.serve.guard.PATIENCE", 10**9)
+    target = Target(guarded=GUARD)
+    if target.guard is not None:
+        target.guard.rate = target.guard.burst = 1e9
+    refused, sent = target.guard.refused if target.guard is not None else Counter[str](), Counter[str]()
+    client = target.client()
+    with capsys.disabled():
+        print(f"\n  {'spoiled messages':<48}{'sent':<12}refused")
+        for kind in VALID:
+            before = refused.total()
+            for bad in spoiled(kind, uuid=client.widget("Gain"), source_component_uuid=client.widget("Upload")):
+                sent[kind] += 1
+                with contextlib.suppress(ConnectionError):
+                    client.send(bad)
+            with contextlib.suppress(TimeoutError):
+                until(lambda kind=kind, before=before: refused.total() - before == sent[kind], 5.0)
+            print(f"  {kind:<48}{sent[kind]:<12}{refused.total() - before}")
+    assert refused.total() == sent.total() > 500
+    assert (target.gain.value, target.heard, target.gizmo.position.tolist()) == (0.5, [], [0.0, 0.0, 0.0])
+    client.close()
+    with contextlib.redirect_stdout(None):
+        target.server.stop()

@@ -4,6 +4,7 @@ import contextlib
 import http.client
 import math
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +14,7 @@ import viser
 from vclient import VClient, until
 
 from app.serve.address import PageError
-from app.serve.guard import Guard
+from app.serve.guard import PATIENCE, Guard
 
 
 @dataclass
@@ -225,3 +226,12 @@ def test_busy_port_and_open_address_are_clear_errors(bench: Bench) -> None:
         Guard().open("0.0.0.0", 0, "test")
     with pytest.raises(PageError, match="cannot serve on 192\\.0\\.2\\.1"):
         Guard("s3cret-token").open("192.0.2.1", 0, "test")
+
+
+def test_refused_messages_are_forgotten_in_time(bench: Bench, client: VClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.serve.guard.FORGIVEN", 0.005)
+    for _ in range(3 * PATIENCE):
+        client.send(b"\xc1")
+        time.sleep(0.02)
+    settled(bench, client)
+    assert not client.closed.is_set()

@@ -30,7 +30,8 @@ def test_it_belongs_to_the_same_recording_and_repeats_nothing_of_it(folders):
     assert (again.application_id, again.recording_id) == (run.application_id, run.recording_id)
     entities = [{c.entity_path for c in RrdReader(str(folder / SESSION)).store().stream()} for folder in folders]
     assert not entities[0] & entities[1]
-    assert {e for e in entities[1] if e.startswith("/replay/")} == {f"/replay/{s.name}" for s in PLOTTED if s.name not in GIVEN}
+    curves = {f"/replay/{s.name}" for s in PLOTTED if s.name not in GIVEN} | {"/replay/plots/force"}
+    assert {e for e in entities[1] if e.startswith("/replay/")} == curves
     assert recordings(folders) == [(folder / SESSION).resolve() for folder in folders]
 
 

@@ -20,13 +20,17 @@ def run(minutes: int, **growth: float) -> list[Sample]:
             for i in range(1, minutes + 1)]
 
 
+def judged(samples: list[Sample], *errors: str) -> list[str]:
+    return faults({**summary(samples), "recording": {"trouble": ""}}, errors)
+
+
 def test_a_calm_run_has_no_faults() -> None:
-    assert faults(summary(run(60)), []) == []
+    assert judged(run(60)) == []
 
 
 @pytest.mark.parametrize(("name", "by"), [("memory", 400_000), ("descriptors", 0.1), ("threads", 0.1)])
 def test_what_grows_is_found(name: str, by: float) -> None:
-    found = faults(summary(run(60, **{name: by})), [])
+    found = judged(run(60, **{name: by}))
     assert len(found) == 1
     assert name in found[0]
 
@@ -39,7 +43,7 @@ def test_memory_that_grows_only_at_first_is_forgiven() -> None:
 
 def test_lost_time_and_errors_are_faults() -> None:
     samples = [replace(sample, factor=0.9) for sample in run(10)]
-    assert faults(summary(samples), ["log: x"]) == ["the real-time factor is 0.900, of 0.97 at least", "error: log: x"]
+    assert judged(samples, "log: x") == ["the real-time factor is 0.900, of 0.97 at least", "error: log: x"]
 
 
 def test_tracebacks_and_logged_errors_are_collected(capsys: pytest.CaptureFixture[str]) -> None:
@@ -63,7 +67,7 @@ def test_a_few_seconds_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     printed = capsys.readouterr().out
     assert "join" in printed
     assert " push" in printed
-    assert 1 <= len(list((tmp_path / "out").glob("part-*.rrd"))) <= 4
+    assert 1 <= len(list((tmp_path / "out").glob("*.rrd"))) <= 4
     assert (tmp_path / "soak.json").stat().st_size > 1000
 
 

@@ -1,6 +1,7 @@
 """One cell, one clock: the same seed and events give the same bits, and nothing stops it but a stop."""
 
 import hashlib
+from typing import Any
 
 import numpy as np
 import pytest
@@ -153,7 +154,7 @@ def test_a_frame_with_nan_is_dropped_and_the_next_one_used(monkeypatch):
     cell = Cell()
     for _ in range(300):
         cell.step()
-    sensor = cell._eyes._eyes[0]._sensor
+    sensor: Any = cell._eyes._eyes[0]._sensor  # a DepthCamera
     real, spoiled = sensor._noise.image, []
 
     def broken():
@@ -173,7 +174,7 @@ def test_a_camera_that_delivers_only_nan_is_silent_and_the_path_waits(monkeypatc
     cell = Cell()
     for _ in range(300):
         cell.step()
-    sensor = cell._eyes._eyes[0]._sensor
+    sensor: Any = cell._eyes._eyes[0]._sensor  # a DepthCamera
     real = sensor._noise.image
     monkeypatch.setattr(sensor._noise, "image", lambda: np.full_like(real(), np.nan))
     for _ in range(600):

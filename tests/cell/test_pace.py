@@ -42,6 +42,17 @@ def test_lost_time_is_dropped_and_said():
     assert pacer.capped
 
 
+@pytest.mark.parametrize("jump", [3600.0, -3600.0])
+def test_a_clock_that_jumps_by_an_hour_costs_a_moment(jump):
+    clock = Clock()
+    pacer = RealTime(1000, now=clock.now, sleep=clock.sleep)
+    run_for(pacer, clock, 2.0)
+    clock.t += jump
+    assert pacer.steps_due() <= 50
+    assert run_for(pacer, clock, 3.0) == pytest.approx(3000, abs=60)
+    assert pacer.factor == pytest.approx(1.0, rel=0.02)
+
+
 def test_a_pause_owes_nothing_and_can_be_stepped():
     clock = Clock()
     pacer = RealTime(1000, now=clock.now, sleep=clock.sleep)

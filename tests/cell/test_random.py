@@ -72,6 +72,7 @@ def check(s: Snapshot, before: Snapshot | None, step: float) -> None:
         assert (np.abs(s.command.dq - before.command.dq) <= step + 1e-9).all()
 
 
+@pytest.mark.timeout(300.0 + 5.0 * SECONDS)
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_nothing_breaks_and_the_task_goes_on(seed):
     rng = np.random.default_rng(seed)

@@ -1,0 +1,197 @@
+"""Recordings of a running cell, one at a time, each in a folder of its own, and the list of those that there are."""
+
+import io
+import json
+import re
+import shutil
+import threading
+import time
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from app import metrics
+from app.record.folder import SKIPPED, EventLog, write, write_json
+from app.record.signals import SignalTable
+from app.review import SESSION, files
+from hrc.cell.eyes import rig
+from hrc.config import Config
+from hrc.errors import HrcError, unknown
+from hrc.events import Reset
+from hrc.messages import Snapshot
+from hrc.parameters import keys
+from hrc.scene import load_scene
+from hrc.vision.camera import Camera
+
+if TYPE_CHECKING:
+    from app.record.recorder import Depth
+
+MOST_S = 3600.0
+"""Simulated seconds of the longest recording [s]: its signals are kept in memory, 0.6 GB an hour."""
+MOST_BYTES = 1_000_000_000
+"""Size of the largest download."""
+
+
+class ArchiveError(HrcError):
+    """There is no such recording, or none can be made."""
+
+
+class Recording:
+    """One that is being made: the observer of its cell. skipped: control ticks of the cell before it."""
+
+    def __init__(self, folder: Path, config: Config, about: Mapping[str, Any], depth: "Depth") -> None:
+        """Raises RecordingError if the file cannot be written."""
+        from app.record.recorder import Recorder  # here, because rerun takes half a second and is an extra
+
+        self.folder, self.skipped = folder, 0
+        self._config, self._about = config, about
+        scene = load_scene(config.scene)
+        cameras = {setup.name: Camera(setup.camera) for setup in rig(config, scene)}
+        self.recorder = Recorder(folder / SESSION, base_hz=config.rates.base_hz, scene=scene, cameras=cameras,
+                                 parameters=keys(config), about=about, depth=depth)
+        self.table = SignalTable()
+
+    @property
+    def seconds(self) -> float:
+        """Simulated length so far [s]."""
+        return len(self.table) / self._config.rates.control_hz
+
+    def on_step(self, snapshot: Snapshot) -> None:
+        """One step has been taken."""
+        self.recorder.on_step(snapshot)
+        self.table.on_step(snapshot)
+
+    def finish(self, log: EventLog) -> str:
+        """Write what is left; the problem, if there was one. log: of the cell, from its start."""
+        problems, about = [], {**self._about, SKIPPED: self.skipped}
+        try:
+            self.recorder.close()
+        except HrcError as error:
+            problems.append(str(error))
+        try:
+            columns = self.table.columns()
+            write(self.folder, self._config, about, columns, log.entries)
+            write_json(self.folder / "metrics.json", {
+                **about, "simulated_s": self.seconds, "recording_problem": "; ".join(problems),
+                **metrics.compute(columns)})
+        except OSError as error:
+            problems.append(f"what a replay needs could not be written: {error.strerror}")
+        return "; ".join(problems)
+
+
+class Archive:
+    """An observer of a cell, and of the next one in its place. root: folder of the recordings, made with the first."""
+
+    def __init__(self, root: Path, device: str = "cpu") -> None:
+        self.root, self._device = root, device
+        self._lock = threading.Lock()  # a recording must not end in the middle of a step
+        self._log, self._cycles = EventLog(), 0
+        self._now: Recording | None = None
+        self.over: Callable[[str], None] = lambda _: None
+        """Told, on another thread, when a recording has ended by itself, and why."""
+
+    @property
+    def now(self) -> Recording | None:
+        """The recording that is being made."""
+        return self._now
+
+    def on_step(self, snapshot: Snapshot) -> None:
+        """One step has been taken."""
+        with self._lock:
+            if snapshot.tick == 1 and not any(isinstance(event, Reset) for event in snapshot.events):  # another cell
+                self._end("another cell has begun")
+                self._log, self._cycles = EventLog(), 0
+            self._log.on_step(snapshot)
+            if (now := self._now) is not None:
+                now.on_step(snapshot)
+                if now.recorder.stopped:
+                    self._end(now.recorder.stopped)
+                elif now.seconds >= MOST_S:
+                    self._end(f"it is {MOST_S / 3600:g} h long")
+            self._cycles += snapshot.fresh_control
+
+    def start(self, scenario: str, config: Config, about: Mapping[str, Any], depth: "Depth") -> str:
+        """Record from the next step on; the name. Raises ArchiveError or RecordingError if that cannot be."""
+        if self._now is not None:
+            raise ArchiveError(f"{self._now.folder.name} is being recorded")
+        stem = re.sub(r"[^\w-]+", "-", Path(scenario).stem)[:40] or "session"
+        folder = self.root / f"{stem}-{time.strftime('%Y%m%d-%H%M%S')}"
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            raise ArchiveError(f"{folder.name} has just been recorded; try again in a second") from None
+        except OSError as error:
+            raise ArchiveError(f"cannot record to {folder}: {error.strerror}") from None
+        about = {"scenario": scenario, "seed": config.seed, "device": self._device, **about}
+        try:
+            made = Recording(folder, config, about, depth)
+        except HrcError:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+        with self._lock:
+            made.skipped, self._now = self._cycles, made
+        return folder.name
+
+    def stop(self) -> str:
+        """Finish the recording; the problem, if there was one. Raises ArchiveError if there is none."""
+        with self._lock:
+            now, log, self._now = self._now, self._log, None
+        if now is None:
+            raise ArchiveError("nothing is being recorded")
+        return now.finish(log)
+
+    def close(self) -> None:
+        """Finish what is being recorded."""
+        if self._now is not None:
+            self.stop()
+
+    def _end(self, why: str) -> None:
+        now, log, self._now = self._now, self._log, None
+        if now is not None:
+            threading.Thread(target=self._say_over, args=(now, log, why), name="end of recording").start()
+
+    def _say_over(self, now: Recording, log: EventLog, why: str) -> None:
+        problem = now.finish(log)
+        self.over(f"recording {now.folder.name} has ended: {problem or why}")
+
+    # -- those that there are ---------------------------------------------------------------------------------------
+
+    def names(self) -> list[str]:
+        """All finished recordings, the newest first."""
+        now = self._now.folder.name if self._now is not None else ""
+        if not self.root.is_dir():
+            return []
+        folders = [path for path in self.root.iterdir() if path.name != now and not path.is_symlink() and files(path)]
+        return [path.name for path in sorted(folders, key=lambda path: (path / SESSION).stat().st_mtime, reverse=True)]
+
+    def folder(self, name: str) -> Path:
+        """The folder of a finished recording. Raises ArchiveError for anything else: a name is no path."""
+        if name not in self.names():
+            raise ArchiveError(unknown("recording", name, self.names()))
+        return self.root / name
+
+    def size(self, name: str) -> int:
+        """Bytes of all files of a recording."""
+        return sum(path.stat().st_size for path in self.folder(name).iterdir())
+
+    def seconds(self, name: str) -> float | None:
+        """Simulated length of a recording [s]; None for one that was cut off."""
+        try:
+            return float(json.loads((self.folder(name) / "metrics.json").read_text())["simulated_s"])
+        except (OSError, ValueError, KeyError):
+            return None
+
+    def delete(self, name: str) -> None:
+        """Remove a finished recording from the disk."""
+        shutil.rmtree(self.folder(name))
+
+    def packed(self, name: str) -> bytes:
+        """A recording as a zip file. Raises ArchiveError for one that is too large."""
+        folder, packed = self.folder(name), io.BytesIO()
+        if self.size(name) > MOST_BYTES:
+            raise ArchiveError(f"{name} has more than {MOST_BYTES / 1e9:g} GB; take it from {self.root.name}/ on the server")
+        with zipfile.ZipFile(packed, "w") as zipped:
+            for path in sorted(folder.iterdir()):
+                zipped.write(path, f"{name}/{path.name}")
+        return packed.getvalue()

@@ -1,0 +1,106 @@
+"""The list of recordings: a name is a name of the list and never a path; and what ends a recording by itself."""
+
+import io
+import time
+import zipfile
+
+import pytest
+
+pytest.importorskip("rerun")
+
+from app.record import archive as module
+from app.record.archive import Archive, ArchiveError
+from app.record.folder import read
+from app.replay import exact
+from hrc.cell import pace
+from hrc.cell.cell import Cell
+from hrc.cell.run import Inbox, run
+from hrc.events import MoveObstacle, Push, Reset, SetParameter
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory):
+    """With one recording: of half a second, begun in the middle, with a Reset in it; and what is none."""
+    root = tmp_path_factory.mktemp("archive") / "recordings"
+    archive, cell, inbox = Archive(root), Cell(), Inbox()
+    config = cell.config
+    assert archive.names() == []
+    inbox.put(MoveObstacle("ball", (-0.5, 0.4, 0.5)))
+    run(cell, pace.FreeRun(7), inbox, [archive], until=203)
+    name = archive.start("my scenario.toml", config, {}, "none")
+    with pytest.raises(ArchiveError, match="being recorded"):
+        archive.start("free", config, {}, "none")
+    with pytest.raises(ArchiveError, match="unknown recording"):
+        archive.folder(name)
+    for event in (Push(4, (0.0, 0.0, 0.0), (0.0, 20.0, 0.0)), SetParameter("control.f_relax", 6.0)):
+        inbox.put(event)
+    run(cell, pace.FreeRun(7), inbox, [archive], until=452)
+    inbox.put(Reset())
+    run(cell, pace.FreeRun(7), inbox, [archive], until=10**6, stopped=lambda: archive.now.seconds >= 0.5)
+    assert archive.now.seconds == pytest.approx(0.5, abs=0.01)
+    assert archive.stop() == ""
+    (root / "none").mkdir()
+    (root.parent / "outside").mkdir()
+    (root.parent / "outside" / "session.rrd").write_bytes(b"")
+    (root / "link").symlink_to(root.parent / "outside")
+    return archive
+
+
+def test_a_recording_from_the_middle_runs_again_bit_for_bit(archive):
+    (name,) = archive.names()
+    assert name.startswith("my-scenario-")
+    session = read(archive.folder(name))
+    assert session.skipped == 40
+    assert exact(archive.folder(name)) == (f"identical, 0 differing ticks of {len(session.columns['tick'])}", True)
+    assert archive.seconds(name) == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize("name", [
+    "", ".", "..", "../outside", "none", "link", "/etc", "{}/..", "{}/../../outside", "{}\0", "{}/"])
+def test_what_is_not_in_the_list_is_neither_read_nor_deleted(archive, name):
+    (real,) = archive.names()
+    for act in (archive.folder, archive.delete, archive.packed, archive.size):
+        with pytest.raises(ArchiveError, match="unknown recording"):
+            act(name.format(real))
+    assert (archive.root.parent / "outside" / "session.rrd").is_file()
+
+
+def test_it_is_packed_whole_and_deleted(archive, monkeypatch):
+    (name,) = archive.names()
+    with zipfile.ZipFile(io.BytesIO(archive.packed(name))) as packed:
+        assert packed.testzip() is None
+        assert {f"{name}/{file}" for file in ("session.rrd", "signals.parquet", "config.json", "events.jsonl",
+                                              "metrics.json")} == set(packed.namelist())
+    monkeypatch.setattr(module, "MOST_BYTES", 1000)
+    with pytest.raises(ArchiveError, match="on the server"):
+        archive.packed(name)
+    archive.delete(name)
+    assert archive.names() == []
+
+
+def test_another_cell_or_the_longest_time_ends_a_recording_by_itself(tmp_path, monkeypatch):
+    archive, told = Archive(tmp_path / "recordings"), []
+    archive.over = told.append
+    monkeypatch.setattr(module, "MOST_S", 0.1)
+    cell = Cell()
+    run(cell, pace.FreeRun(), Inbox(), [archive], until=100)
+    archive.start("long", cell.config, {}, "none")
+    run(cell, pace.FreeRun(), Inbox(), [archive], until=300)
+    archive.start("short", cell.config, {}, "none")
+    run(cell, pace.FreeRun(), Inbox(), [archive], until=350)
+    cell = Cell()
+    run(cell, pace.FreeRun(), Inbox(), [archive], until=100)
+    deadline = time.monotonic() + 20.0
+    while len(told) < 2 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert "h long" in told[0]
+    assert "another cell" in told[1]
+    assert len(archive.names()) == 2
+    for name in archive.names():
+        assert exact(archive.folder(name))[1]
+
+
+def test_a_folder_that_cannot_be_made_is_said_and_leaves_nothing(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ArchiveError, match="cannot record"):
+        Archive(tmp_path / "file").start("free", Cell().config, {}, "none")

@@ -1,0 +1,87 @@
+"""Recording from the page: what a visitor did with the mouse runs again bit for bit."""
+
+import io
+import json
+import re
+import zipfile
+from typing import Any
+
+import pytest
+from playwright.sync_api import expect
+from test_page_browser import ON_SCREEN, pushed
+from vclient import VClient, until
+
+from app.record.repair import look
+from app.replay import exact
+from app.serve.main import Page
+
+
+def recording(client: VClient) -> bool:
+    return 'data-recording="true"' in client.text()
+
+
+def test_record_stop_list_and_delete_over_the_wire(served: Page, raw: VClient) -> None:
+    archive = served.recordings.archive
+    raw.set("Images", "none")
+    raw.click("Record")
+    until(lambda: recording(raw))
+    until(lambda: re.search(r"0:0[1-9], [0-9.]+ MB", raw.text()))
+    raw.click("End the recording")
+    until(lambda: not recording(raw) and archive.names())
+    (name,) = archive.names()
+    until(lambda: raw.gui[raw.widget("Recording")]["props"]["options"] == [name])
+    refused = served.guard.refused.total()
+    for value in ("../..", "/etc/passwd", name + "/..", ["x"], None):
+        raw.send({"type": "GuiUpdateMessage", "uuid": raw.widget("Recording"), "updates": {"value": value}})
+    until(lambda: served.guard.refused.total() == refused + 5)
+    raw.click("Delete")
+    until(lambda: list(archive.root.iterdir()) == [])
+
+
+def test_a_cell_that_makes_room_for_another_ends_its_recording_and_says_so(served: Page, raw: VClient) -> None:
+    archive = served.recordings.archive
+    raw.click("Record")
+    until(lambda: archive.now is not None and archive.now.seconds > 0.1)
+    raw.set("Scenario", "push")
+    until(lambda: "another cell has begun" in raw.text(), 60.0)
+    (name,) = archive.names()
+    assert look(archive.root / name / "session.rrd").finished
+    archive.delete(name)
+    raw.set("Scenario", "free")
+    until(lambda: raw.banner()["mode"] == "idle", 60.0)
+
+
+@pytest.mark.browser
+def test_a_session_of_pushes_drags_and_sliders_is_recorded_downloaded_and_replayed(served: Page, tab: Any) -> None:
+    archive, banner = served.recordings.archive, tab.locator("#eb-banner")
+    expect(banner).to_have_attribute("data-mode", "idle")
+    tab.get_by_role("tab", name="Record").click()
+    tab.get_by_role("button", name="Record", exact=True).click()
+    expect(tab.locator("#eb-recording")).to_have_attribute("data-recording", "true")
+    assert any(pushed(tab) for _ in range(6))
+    tab.mouse.up()
+    tab.get_by_role("tab", name="Contact").click()
+    slider = tab.locator("label", has_text="F_abort").locator("xpath=ancestor::div[contains(@class,'Flex-root')][1]")
+    slider.locator("[role=slider]").focus()
+    tab.keyboard.press("ArrowRight")
+    x, y = tab.evaluate(ON_SCREEN, ["/obstacles/ball", [0.0, 0.0, 0.0]])
+    tab.mouse.move(x, y)
+    tab.mouse.down()
+    for pixels in range(4, 84, 4):
+        tab.mouse.move(x - pixels, y)
+    tab.mouse.up()
+    tab.get_by_role("tab", name="Record").click()
+    tab.get_by_role("button", name="End the recording").click()
+    expect(tab.locator("#eb-recording")).to_have_attribute("data-recording", "false")
+    until(lambda: archive.names())
+    with tab.expect_download() as download:
+        tab.get_by_role("button", name="Download").click()
+    (name,) = archive.names()
+    with zipfile.ZipFile(io.BytesIO(download.value.path().read_bytes())) as packed:
+        assert packed.read(f"{name}/config.json") == (archive.folder(name) / "config.json").read_bytes()
+    kinds = {json.loads(line)["event"]["type"] for line in (archive.folder(name) / "events.jsonl").read_text().splitlines()}
+    assert kinds >= {"Pull", "Release", "SetParameter", "MoveObstacle"}
+    verdict, identical = exact(archive.folder(name))
+    assert identical, verdict
+    print(verdict, kinds)
+    archive.delete(name)
