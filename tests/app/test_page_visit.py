@@ -1,4 +1,4 @@
-"""A visit to the page in a real Chromium: its keys, its help, a phone, a browser without WebGL, an obstacle."""
+"""A visit to the page in a real Chromium: its keys, its help, a phone, a browser without WebGL."""
 
 import http.client
 import re
@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import expect
 from test_page_browser import ON_SCREEN
-from vclient import VClient, until
+from vclient import VClient
 
 from app.browser import COARSE, FLAGS, executable
 from app.serve.main import Page
@@ -70,11 +70,11 @@ def _colour(tab: Any, selector: str) -> list[int]:
 def test_a_click_on_a_link_shows_its_numbers_and_dragging_it_still_pushes(tab: Any, raw: VClient) -> None:
     banner, numbers = tab.locator("#eb-banner"), tab.locator("#eb-numbers")
     tab.get_by_role("tab", name="Numbers").click()
-    expect(numbers).to_have_attribute("data-link", "link_4")
-    x, y = tab.evaluate(ON_SCREEN, ["/robot/link_2", [0.0, 0.0, 0.1]])
-    hover(tab, x, y)
-    tab.mouse.click(x, y)
-    expect(numbers).to_have_attribute("data-link", "link_2")
+    for link, point in (("link_4", [0.0, 0.0, 0.0]), ("link_2", [0.0, 0.0, 0.1])):
+        x, y = tab.evaluate(ON_SCREEN, [f"/robot/{link}", point])
+        hover(tab, x, y)
+        tab.mouse.click(x, y)
+        expect(numbers).to_have_attribute("data-link", link)
     assert float(banner.get_attribute("data-truth")) == 0.0
     hover(tab, x, y)
     tab.mouse.down()
@@ -87,32 +87,6 @@ def test_a_click_on_a_link_shows_its_numbers_and_dragging_it_still_pushes(tab: A
         pytest.fail("the drag did not push")
     tab.mouse.up()
     expect(banner).to_have_attribute("data-truth", "0.00")
-
-
-def test_an_obstacle_dragged_into_the_arm_makes_it_relax_abort_and_resume(tab: Any, raw: VClient) -> None:
-    raw.gizmo("/gizmos/ball", (-0.35, 0.42, 0.5))
-    until(lambda: abs(raw.position("/obstacles/ball")[1] - 0.42) < 0.02)
-    raw.hand_back()
-    banner, seen = tab.locator("#eb-banner"), list[str]()
-    expect(banner).to_have_attribute("data-mode", "idle")
-    tab.evaluate("""() => { window.modes = []; new MutationObserver(() => {
-      const mode = document.querySelector("#eb-banner")?.dataset.mode;
-      if (mode && mode !== window.modes.at(-1)) window.modes.push(mode);
-    }).observe(document, { subtree: true, childList: true, attributes: true }); }""")
-    x, y = tab.evaluate(ON_SCREEN, ["/obstacles/ball", [0.0, -0.04, -0.04]])  # beside its arrows
-    elbow, _ = tab.evaluate(ON_SCREEN, ["/robot/link_4", [0.0, 0.0, 0.0]])
-    hover(tab, x, y)
-    tab.mouse.down()
-    aim = x
-    while not {"relax", "abort"} <= set(seen) and aim > elbow - 60:
-        aim -= 6
-        tab.mouse.move(aim, y)
-        later(tab, 0.05)
-        seen = tab.evaluate("() => window.modes")
-    tab.mouse.move(x, y, steps=10)
-    tab.mouse.up()
-    expect(banner).to_have_attribute("data-mode", "idle")
-    assert {"relax", "abort"} <= set(tab.evaluate("() => window.modes"))
 
 
 def test_on_a_phone_the_sheet_is_as_wide_as_the_screen_and_the_arm_above_it(chromium: Any, served: Page, raw: VClient) -> None:
