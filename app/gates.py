@@ -1,13 +1,12 @@
 """Gates for `elbowroom run --check`: figures of metrics.json that must lie within bounds, written in TOML."""
 
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hrc import toml_file
 from hrc.errors import HrcError, unknown
-from hrc.paths import assets
 
 BOUNDS = ("min", "max", "equals")
 
@@ -46,7 +45,7 @@ class Verdict:
 
 def names() -> list[str]:
     """The gates that come with the project."""
-    return sorted(path.stem for path in (assets() / "gates").glob("*.toml"))
+    return toml_file.names("gates")
 
 
 def load(name_or_path: str | Path) -> tuple[Gate, ...]:
@@ -54,18 +53,8 @@ def load(name_or_path: str | Path) -> tuple[Gate, ...]:
 
     A gate is `"ee_error.relax.max_m" = {max = 0.003}`, quoted or not, or a table; a plain value is `equals`.
     """
-    path = Path(name_or_path)
-    if path.suffix != ".toml":
-        if str(name_or_path) not in names():
-            raise GateError(unknown("file of gates", str(name_or_path), names()) + " (a path must end in .toml)")
-        path = assets() / "gates" / f"{name_or_path}.toml"
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise GateError(f"the file of gates {path} cannot be read: {error}") from None
-    except tomllib.TOMLDecodeError as error:
-        raise GateError(f"{path.name}: {error}") from None
-    gates = tuple(_gates(path.name, table, ""))
+    path = toml_file.find(name_or_path, "gates", "file of gates", GateError)
+    gates = tuple(_gates(path.name, toml_file.read(path, "gates", GateError), ""))
     if not gates:
         raise GateError(f"{path.name} has no gate in it, so it would let everything pass")
     return gates

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hrc import toml_file
 from hrc.cell.scenario import Scenario
 from hrc.config import PRESETS, Config
 from hrc.errors import ConfigError, unknown
@@ -38,13 +39,7 @@ def read(file: Path) -> list[tuple[str, Any]]:
 
     Raises ConfigError, with the file, for one that cannot be read, an unknown key or a bad value.
     """
-    try:
-        table = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"the settings file {file} cannot be read: {error}") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{file.name}: {error}") from None
-    settings = list(_flat(table).items())
+    settings = list(_flat(toml_file.read(file, "settings", ConfigError)).items())
     try:
         _changed(Config(), settings)
     except ConfigError as error:

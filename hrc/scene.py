@@ -1,6 +1,5 @@
 """The cell around the robot: the fixed environment, the obstacles that may enter, the depth cameras."""
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hrc import toml_file
 from hrc.errors import AssetError, unknown
-from hrc.paths import assets
 
 Vector = tuple[float, float, float]
 ENTRIES = ("extends", "environment", "body", "camera")
@@ -68,7 +67,7 @@ class Scene:
 
 def scenes() -> list[str]:
     """The scenes that come with the project."""
-    return sorted(path.stem for path in (assets() / "scenes").glob("*.toml"))
+    return toml_file.names("scenes")
 
 
 def load_scene(name: str | Path = "cell") -> Scene:
@@ -76,13 +75,9 @@ def load_scene(name: str | Path = "cell") -> Scene:
 
     A file may say `extends = "cell"`: then it adds to that scene.
     """
-    path = Path(name)
-    if path.suffix != ".toml":
-        if str(name) not in scenes():
-            raise AssetError(unknown("scene", str(name), scenes()) + " (a path must end in .toml)")
-        path = assets() / "scenes" / f"{name}.toml"
+    path = toml_file.find(name, "scenes", "scene", AssetError)
+    table = toml_file.read(path, "scene", AssetError)
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
         for key in table:
             if key not in ENTRIES:
                 raise AssetError(f"the scene file {path.name} is malformed: {unknown('entry', key, ENTRIES)}")
@@ -90,11 +85,9 @@ def load_scene(name: str | Path = "cell") -> Scene:
         boxes = tuple(Box(**_tuples(t)) for t in table.get("environment", []))
         bodies = tuple(BodySpec(**_tuples(t)) for t in table.get("body", []))
         cameras = tuple(CameraSpec(t.pop("name"), t) for t in (_tuples(t) for t in table.get("camera", [])))
-    except (OSError, UnicodeDecodeError) as error:
-        raise AssetError(f"the scene file {path.name} cannot be read: {error}") from None
     except KeyError:
         raise AssetError(f"the scene file {path.name} is malformed: a camera needs a name") from None
-    except (tomllib.TOMLDecodeError, TypeError, RecursionError) as error:
+    except (TypeError, RecursionError) as error:
         raise AssetError(f"the scene file {path.name} is malformed: {error}") from None
     for body in bodies:
         if len(body.size) != {"sphere": 1, "capsule": 2, "box": 3}.get(body.shape):

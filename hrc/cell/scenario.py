@@ -1,16 +1,15 @@
 """Scenario files: a title, a duration, parameters, and events at their times; TOML, for people to copy and change."""
 
 import re
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hrc import toml_file
 from hrc.config import Config
 from hrc.errors import ConfigError, EventError, ScenarioError, unknown
 from hrc.events import Event, Reset, from_dict
 from hrc.parameters import replaced
-from hrc.paths import assets
 
 LONGEST = 1e6
 """No scenario lasts longer [s]."""
@@ -39,25 +38,14 @@ class Scenario:
 
 def names() -> list[str]:
     """The scenarios that come with the project."""
-    return sorted(path.stem for path in _folder().glob("*.toml"))
+    return toml_file.names("scenarios")
 
 
 def load(name_or_path: str | Path) -> Scenario:
     """A scenario by its name, or by the path of its file. Raises ScenarioError with the line and the reason."""
-    path = Path(name_or_path)
-    if path.suffix != ".toml":
-        if str(name_or_path) not in names():
-            raise ScenarioError(unknown("scenario", str(name_or_path), names()) + " (a path must end in .toml)")
-        path = _folder() / f"{name_or_path}.toml"
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"the scenario file {path} cannot be read: {error}") from None
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ScenarioError(f"{path.name}: {error}") from None
-    return _scenario(path.stem, path.name, text, table)
+    path = toml_file.find(name_or_path, "scenarios", "scenario", ScenarioError)
+    text = toml_file.text(path, "scenario", ScenarioError)
+    return _scenario(path.stem, path.name, text, toml_file.table(text, "scenario", path.name, ScenarioError))
 
 
 def _scenario(name: str, file: str, text: str, table: dict[str, Any]) -> Scenario:
@@ -110,7 +98,3 @@ def _line(text: str, key: str) -> int:
     """The line where a top-level key stands, 1 if it is missing."""
     pattern = re.compile(rf"\s*\[*\s*{re.escape(key)}\b")
     return next((i for i, line in enumerate(text.splitlines(), 1) if pattern.match(line)), 1)
-
-
-def _folder() -> Path:
-    return assets() / "scenarios"

@@ -1,6 +1,5 @@
 """A calibrated camera from a TOML file: intrinsics, pose, lens, and what a step of its depth image means."""
 
-import tomllib
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hrc import toml_file
 from hrc.errors import AssetError, ConfigError, unknown
 from hrc.geometry import Array, transform
 from hrc.messages import DepthFrame
@@ -46,12 +46,7 @@ def load_camera(path: str | Path) -> CalibratedCamera:
     Raises AssetError for a file that is missing or no TOML, and ConfigError for a key or value that cannot be.
     """
     path = Path(path)
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise AssetError(f"the camera file {path} cannot be read: {error}") from None
-    except tomllib.TOMLDecodeError as error:
-        raise AssetError(f"the camera file {path} is malformed: {error}") from None
+    table = toml_file.read(path, "camera", AssetError)
     try:
         return _camera(table)
     except ConfigError as error:
