@@ -2,7 +2,8 @@
 """Make the project's environment (once), then start the web app or the tests.
 
     python3 start.py [ARGUMENTS]         elbowroom serve ARGUMENTS
-    python3 start.py test [ARGUMENTS]    pytest ARGUMENTS
+    python3 start.py test                every test: those of the page, which need quiet cores, after all the others
+    python3 start.py test ARGUMENTS      pytest ARGUMENTS
 
 The environment is .venv beside this file (ELBOWROOM_VENV moves it), filled from the hashed lock file with uv if it
 is on PATH, else with venv and pip; the system's own packages are never touched, so an externally managed Python is
@@ -38,6 +39,11 @@ def main(arguments):
     if test:
         os.chdir(str(ROOT))
         command = [str(PYTHON), "-m", "pytest", *arguments[1:]]
+        if not arguments[1:]:
+            side_by_side = subprocess.run([*command, "-n", "auto", "--dist", "loadfile", "-m", "not live"], check=False)
+            if side_by_side.returncode:
+                sys.exit(side_by_side.returncode)
+            command += ["-m", "live"]
     else:
         command = [str(PYTHON.with_name("elbowroom")), "serve", *arguments]
     os.execv(command[0], command)

@@ -5,18 +5,20 @@ A config class is a frozen dataclass that derives from `Parameters`; its fields 
 the page.
 """
 
-import ast
 import dataclasses
 import functools
 import inspect
 import math
-import textwrap
+import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Self, TypeVar
 
 from hrc.errors import ConfigError, unknown
 
 Tree = TypeVar("Tree", bound="Parameters")
+DOCUMENTED = re.compile(r'^    (\w+): [^\n]*\n(?:     [^\n]*\n|    \)[^\n]*\n)*    """(.*?)"""', re.MULTILINE | re.DOTALL)
+"""A field, on one line or more, and the docstring below it."""
 
 
 def param(default: Any, *, low: float = -math.inf, high: float = math.inf, unit: str = "", live: bool = True,
@@ -88,16 +90,20 @@ def _docs(cls: type[Parameters]) -> dict[str, str]:
     """Attribute docstrings of `cls` and its parents (PEP 257 names them; the runtime drops them, so read the source)."""
     found: dict[str, str] = {}
     for base in reversed(cls.__mro__):
-        if not (issubclass(base, Parameters) and base is not Parameters):
-            continue
-        body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
-        if not isinstance(body, ast.ClassDef):
-            continue
-        for node, after in zip(body.body, body.body[1:], strict=False):
-            if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and isinstance(after, ast.Expr) \
-                    and isinstance(after.value, ast.Constant) and isinstance(after.value.value, str):
-                found[node.target.id] = " ".join(after.value.value.split())
+        if issubclass(base, Parameters) and base is not Parameters:
+            found |= _written(inspect.getfile(base)).get(base.__qualname__, {})
     return found
+
+
+@functools.cache
+def _written(file: str) -> dict[str, dict[str, str]]:
+    """The attribute docstrings in a file, by class and field.
+
+    Not by `ast`: up to CPython 3.12 it fails where another thread parses at the same time, as printing a traceback does.
+    """
+    text = Path(file).read_text(encoding="utf-8")
+    classes = re.findall(r"^class (\w+).*?\n(.*?)(?=^\S|\Z)", text, re.MULTILINE | re.DOTALL)
+    return {name: {field: " ".join(doc.split()) for field, doc in DOCUMENTED.findall(body)} for name, body in classes}
 
 
 def keys(tree: Parameters, prefix: str = "") -> dict[str, Any]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from target import TOKEN, WATCH
 from vclient import VClient, until
 
 from app.browser import COARSE, FLAGS, VIEWPORT, executable
@@ -14,8 +15,10 @@ if TYPE_CHECKING:
     from app.serve.main import Page
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "browser: needs a Chromium; skipped without one, except where CI=true")
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if isinstance(item, pytest.Function) and {"served", "keyed", "chromium"} & set(item.fixturenames):
+            item.add_marker(pytest.mark.live)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -31,6 +34,19 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[Page]":
     from app.serve.main import Page
 
     page = Page("free", Access(port=0), say=lambda _: None, recordings=tmp_path_factory.mktemp("page") / "recordings")
+    page.start()
+    yield page
+    page.close()
+
+
+@pytest.fixture(scope="module")
+def keyed() -> "Iterator[Page]":
+    """A page that asks for a token: target.TOKEN of who may drive, target.WATCH of who may watch."""
+    from app.serve.access import Access
+    from app.serve.keys import Keys
+    from app.serve.main import Page
+
+    page = Page("free", Access(port=0, keys=Keys(TOKEN, WATCH)), say=lambda _: None)
     page.start()
     yield page
     page.close()

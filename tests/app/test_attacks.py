@@ -179,6 +179,7 @@ def outcomes(*, guarded: bool) -> dict[str, bool]:
     return gained
 
 
+@pytest.mark.live
 def test_no_attack_succeeds_and_all_would_without_the_guard(capsys: pytest.CaptureFixture[str]) -> None:
     guarded, open_ = outcomes(guarded=True), outcomes(guarded=False)
     word = {True: "succeeds", False: "refused"}
@@ -190,6 +191,7 @@ def test_no_attack_succeeds_and_all_would_without_the_guard(capsys: pytest.Captu
     assert [name for name, gained in open_.items() if not gained] == [], "an attack that proves nothing"
 
 
+@pytest.mark.live
 def test_no_message_with_a_spoiled_field_gets_in(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """NaN, out of range, of a wrong type or length, missing, or one too many: for every field of every kind of message."""
     monkeypatch.setattr("app.serve.guard.PATIENCE", 10**9)

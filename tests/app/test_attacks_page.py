@@ -11,25 +11,15 @@ from fuzz import COUNT, damaged, message
 from target import TOKEN, WATCH, authorized
 from vclient import VClient, until
 
-from app.serve.access import Access
-from app.serve.keys import Keys
 from app.serve.main import Page
 
 ELBOW = "/robot/link_4"
 
 
-@pytest.fixture(scope="module")
-def page() -> Iterator[Page]:
-    page = Page("free", Access(port=0, keys=Keys(TOKEN, WATCH)), say=lambda _: None)
-    page.start()
-    yield page
-    page.close()
-
-
 @pytest.fixture
-def onlooker(page: Page) -> Iterator[VClient]:
+def onlooker(keyed: Page) -> Iterator[VClient]:
     """Somebody who watches, and sees whether the page is well."""
-    client = join(page, WATCH)
+    client = join(keyed, WATCH)
     until(lambda: client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.3, 60.0)
     yield client
     client.close()
@@ -55,8 +45,8 @@ def grab(client: VClient) -> None:
     client.drag(ELBOW, "update", point, point + np.array([0.0, 0.2, 0.0]))
 
 
-def test_socket_that_stalls_in_mid_drag_lets_go_and_slows_nobody(page: Page, onlooker: VClient) -> None:
-    stalled, thawed = join(page), threading.Event()
+def test_socket_that_stalls_in_mid_drag_lets_go_and_slows_nobody(keyed: Page, onlooker: VClient) -> None:
+    stalled, thawed = join(keyed), threading.Event()
     grab(stalled)
     until(lambda: float(onlooker.banner()["truth"]) > 8.0)
     stalled.freeze(thawed)
@@ -65,7 +55,7 @@ def test_socket_that_stalls_in_mid_drag_lets_go_and_slows_nobody(page: Page, onl
     until(lambda: time.monotonic() > begin + 4.0)
     rate = (int(onlooker.banner()["beat"]) - beat) / (time.monotonic() - begin)
     assert rate > 5.0, "of the ten banners a second"
-    other = join(page)
+    other = join(keyed)
     other.click("Take control")
     until(other.drives, 5.0)
     thawed.set()
@@ -73,23 +63,23 @@ def test_socket_that_stalls_in_mid_drag_lets_go_and_slows_nobody(page: Page, onl
     stalled.close()
 
 
-def test_twenty_visitors_come_and_go_and_leave_nothing_behind(page: Page, onlooker: VClient) -> None:
-    until(lambda: len(page.server.get_clients()) == 1)
-    threads, free = threading.active_count(), len(page.guard._free)
-    visitors = [VClient(page.server.get_port(), headers=authorized(TOKEN)) for _ in range(20)]
+def test_twenty_visitors_come_and_go_and_leave_nothing_behind(keyed: Page, onlooker: VClient) -> None:
+    until(lambda: len(keyed.server.get_clients()) == 1)
+    threads, free = threading.active_count(), len(keyed.guard._free)
+    visitors = [VClient(keyed.server.get_port(), headers=authorized(TOKEN)) for _ in range(20)]
     for visitor in visitors:
         assert visitor.ready.wait(20.0)
     until(lambda: all(visitor.seat() for visitor in visitors), 20.0)
     for visitor in visitors[:10]:
         visitor.click("Take control")
-    until(lambda: page.guard.seat.operator is not None)
+    until(lambda: keyed.guard.seat.operator is not None)
     for visitor in visitors[::2]:
         visitor.tear()
     for visitor in visitors[1::2]:
         visitor.close()
-    until(lambda: len(page.server.get_clients()) == 1, 20.0)
-    until(lambda: page.guard.seat.operator is None and page.guard.seat.asking is None)
-    until(lambda: len(page.guard._free) == free)
+    until(lambda: len(keyed.server.get_clients()) == 1, 20.0)
+    until(lambda: keyed.guard.seat.operator is None and keyed.guard.seat.asking is None)
+    until(lambda: len(keyed.guard._free) == free)
     until(lambda: threading.active_count() <= threads + 2, 20.0)
     beat = int(onlooker.banner()["beat"])
     until(lambda: int(onlooker.banner()["beat"]) > beat + 5)
@@ -97,24 +87,24 @@ def test_twenty_visitors_come_and_go_and_leave_nothing_behind(page: Page, onlook
 
 
 def test_page_takes_fuzzed_messages_from_an_operator_and_stays_well(
-        page: Page, onlooker: VClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture,
+        keyed: Page, onlooker: VClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture,
         capfd: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(page.guard, "rate", 1e9)
-    monkeypatch.setattr(page.guard, "burst", 1e9)
+    monkeypatch.setattr(keyed.guard, "rate", 1e9)
+    monkeypatch.setattr(keyed.guard, "burst", 1e9)
     monkeypatch.setattr("app.serve.guard.PATIENCE", 10**9)
-    fuzzer = join(page)
+    fuzzer = join(keyed)
     fuzzer.click("Take control")
     until(fuzzer.drives)
     banned = {fuzzer.widget("Scenario"), fuzzer.widget("Release control")}
     uuids = tuple(uuid for uuid in fuzzer.gui if uuid not in banned)
-    refused = sum(page.guard.refused.values())
+    refused = sum(keyed.guard.refused.values())
     for raw, _ in zip(damaged(2, uuids), range(COUNT // 50), strict=False):
         fuzzer.send(raw)
     fuzzer.send(message("GuiUpdateMessage", uuid=fuzzer.widget("Simulation"), updates={"value": "Reset"}))
-    until(lambda: sum(page.guard.refused.values()) > refused + COUNT // 100)
+    until(lambda: sum(keyed.guard.refused.values()) > refused + COUNT // 100)
     fuzzer.close()
-    until(lambda: page.guard.seat.operator is None)
-    mender = join(page)
+    until(lambda: keyed.guard.seat.operator is None)
+    mender = join(keyed)
     beat = int(mender.banner()["beat"])
     until(lambda: int(mender.banner()["beat"]) > beat + 3)  # what the last of the messages did is on the screen
     if mender.banner()["paused"] == "true":

@@ -70,6 +70,6 @@ def test_the_example_in_the_docs_is_the_script_that_the_project_runs():
     script = (DOCS.parent / ".ci" / "gates").read_text()
     blocks = re.findall(r"```bash\n(.*?)```", (DOCS / "ci.md").read_text(), flags=re.DOTALL)
     wanted = [line.split("#")[0].split()[1:] for line in blocks[0].strip().splitlines()]
-    run = [line.replace(" --overwrite", "").split()[1:] for line in script.splitlines() if line.startswith('"${elbowroom')]
+    run = [line.replace(" --overwrite", "").split()[1:] for line in script.splitlines() if line.startswith("elbowroom ")]
     assert wanted == run
     assert ".ci/gates" in (DOCS.parent / ".ci" / "run").read_text()

@@ -10,6 +10,7 @@ from app.__main__ import main
 from app.bench.record import BUDGET, table
 
 
+@pytest.mark.live
 def test_it_measures_with_and_without_images_and_judges_by_the_budget(tmp_path, capsys):
     main(["bench", "record", "--quick", "--json", str(tmp_path / "record.json")])
     told = capsys.readouterr().out

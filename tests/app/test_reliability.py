@@ -36,6 +36,7 @@ class Broken:
             raise ValueError("the disk is on fire")
 
 
+@pytest.mark.live
 def test_observer_that_fails_is_left_out_and_the_cell_goes_on(capfd: pytest.CaptureFixture[str]) -> None:
     mailbox, broken, sound, said = Mailbox(), Broken(100), Broken(10**9), list[str]()
     session = Session(mailbox, observers=(broken, sound), say=said.append)

@@ -4,14 +4,13 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from target import TOKEN, WATCH
 from vclient import VClient, until
 
-from app.serve.access import Access
-from app.serve.keys import Keys, Role
+from app.serve.keys import Role
 from app.serve.main import Page
 from app.serve.seat import Seat
 
-OPERATE, WATCH = "operate-token", "watch-token"
 A, B, V = 1, 2, 9
 ELBOW = "/robot/link_4"
 
@@ -91,15 +90,7 @@ def test_who_is_gone_neither_sits_nor_asks(room: Room) -> None:
 
 # -- on the server
 
-@pytest.fixture(scope="module")
-def shared() -> Iterator[Page]:
-    page = Page("free", Access(port=0, keys=Keys(OPERATE, WATCH)), say=lambda _: None)
-    page.start()
-    yield page
-    page.close()
-
-
-def visitor(page: Page, token: str = OPERATE) -> VClient:
+def visitor(page: Page, token: str = TOKEN) -> VClient:
     client = VClient(page.server.get_port(), headers={"Authorization": f"Bearer {token}"})
     assert client.ready.wait(5.0)
     until(lambda: client.seat() and client.banner()["mode"] not in ("starting", "failed"), 60.0)
@@ -108,11 +99,11 @@ def visitor(page: Page, token: str = OPERATE) -> VClient:
 
 
 @pytest.fixture
-def operator(shared: Page) -> Iterator[VClient]:
+def operator(keyed: Page) -> Iterator[VClient]:
     """Somebody who drives."""
-    until(lambda: shared.guard.seat.operator is None)
-    shared.session.paused = False
-    client = visitor(shared)
+    until(lambda: keyed.guard.seat.operator is None)
+    keyed.session.paused = False
+    client = visitor(keyed)
     if client.banner()["mode"] == "stop":
         client.click("Resume")
     client.set("Simulation", "Reset")
@@ -134,7 +125,7 @@ def felt(client: VClient) -> float:
 
 def everything(client: VClient) -> int:
     """Send one of every kind of message that would change something; how many."""
-    before = shared_state(client)
+    before = keyed_state(client)
     point = client.position(ELBOW)
     sent = 0
     for phase in ("start", "update", "end"):
@@ -153,45 +144,45 @@ def everything(client: VClient) -> int:
     for choice in ("Reset", "Step", "Pause"):
         client.set("Simulation", choice)
     sent += 10
-    assert shared_state(client) == before
+    assert keyed_state(client) == before
     return sent
 
 
-def shared_state(client: VClient) -> tuple[str, ...]:
+def keyed_state(client: VClient) -> tuple[str, ...]:
     banner = client.banner()
     return (banner["paused"], banner["silent"])
 
 
-@pytest.mark.parametrize("token", [OPERATE, WATCH])
-def test_who_does_not_drive_changes_nothing_and_is_counted(shared: Page, operator: VClient, token: str) -> None:
-    other = visitor(shared, token)
-    before, values = shared.guard.refused["not the operator"], dict(shared_values(operator))
+@pytest.mark.parametrize("token", [TOKEN, WATCH])
+def test_who_does_not_drive_changes_nothing_and_is_counted(keyed: Page, operator: VClient, token: str) -> None:
+    other = visitor(keyed, token)
+    before, values = keyed.guard.refused["not the operator"], dict(keyed_values(operator))
     sent = everything(other)
-    until(lambda: shared.guard.refused["not the operator"] == before + sent)
+    until(lambda: keyed.guard.refused["not the operator"] == before + sent)
     time = float(operator.banner()["time"])
     until(lambda: float(operator.banner()["time"]) > time + 0.5)
-    assert shared_values(operator) == values
+    assert keyed_values(operator) == values
     assert felt(operator) == 0.0
     assert not other.closed.is_set(), "watching is no offence"
     until(lambda: other.value("F_relax [N]") == values["F_relax [N]"])  # its own screen is put right
-    assert shared_values(other) == values
+    assert keyed_values(other) == values
     other.close()
 
 
-def shared_values(client: VClient) -> dict[str, object]:
+def keyed_values(client: VClient) -> dict[str, object]:
     labels = ("F_relax [N]", "Speed", "Unplug the cameras", "Scenario", "Forces", "Block")
     return {label: client.value(label) for label in labels}
 
 
-@pytest.mark.parametrize("token", [OPERATE, WATCH])
-def test_stop_is_for_everybody_and_resume_is_not(shared: Page, operator: VClient, token: str) -> None:
-    other = visitor(shared, token)
+@pytest.mark.parametrize("token", [TOKEN, WATCH])
+def test_stop_is_for_everybody_and_resume_is_not(keyed: Page, operator: VClient, token: str) -> None:
+    other = visitor(keyed, token)
     other.click("STOP (Esc)")
     until(lambda: operator.banner()["mode"] == "stop")
     until(lambda: other.gui[other.widget("Resume")]["props"]["visible"])
-    before = shared.guard.refused["not the operator"]
+    before = keyed.guard.refused["not the operator"]
     other.click("Resume")
-    until(lambda: shared.guard.refused["not the operator"] == before + 1)
+    until(lambda: keyed.guard.refused["not the operator"] == before + 1)
     operator.click("Resume")
     until(lambda: operator.banner()["mode"] == "idle")
     other.send({"type": "CommandTriggerMessage", "uuid": other.commands["Stop the arm"]})
@@ -201,8 +192,8 @@ def test_stop_is_for_everybody_and_resume_is_not(shared: Page, operator: VClient
     other.close()
 
 
-def test_viewer_is_told_so_and_is_offered_nothing(shared: Page, operator: VClient) -> None:
-    viewer = visitor(shared, WATCH)
+def test_viewer_is_told_so_and_is_offered_nothing(keyed: Page, operator: VClient) -> None:
+    viewer = visitor(keyed, WATCH)
     assert viewer.seat()["role"] == "viewer"
     assert viewer.seat()["operator"] == operator.seat()["visitor"]
     assert not viewer.gui[viewer.widget("Take control")]["props"]["visible"]
@@ -230,8 +221,8 @@ def ask(client: VClient, operator: VClient) -> None:
     until(lambda: client.seat()["asking"] == client.seat()["visitor"])
 
 
-def test_handing_over_lets_go_what_the_operator_held(shared: Page, operator: VClient) -> None:
-    other = visitor(shared)
+def test_handing_over_lets_go_what_the_operator_held(keyed: Page, operator: VClient) -> None:
+    other = visitor(keyed)
     grab(operator)
     until(lambda: felt(operator) > 8.0)
     ask(other, operator)
@@ -250,8 +241,8 @@ def test_handing_over_lets_go_what_the_operator_held(shared: Page, operator: VCl
     until(lambda: felt(operator) == 0.0)
 
 
-def test_browser_that_does_not_answer_loses_the_seat_at_once(shared: Page, operator: VClient) -> None:
-    other = visitor(shared)
+def test_browser_that_does_not_answer_loses_the_seat_at_once(keyed: Page, operator: VClient) -> None:
+    other = visitor(keyed)
     operator.alive = False
     other.click("Take control")
     until(other.drives, 5.0)
@@ -259,9 +250,9 @@ def test_browser_that_does_not_answer_loses_the_seat_at_once(shared: Page, opera
 
 
 def test_operator_that_says_nothing_loses_the_seat_in_time(
-        shared: Page, operator: VClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shared.seat_box, "answer", 1.0)
-    other = visitor(shared)
+        keyed: Page, operator: VClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(keyed.seat_box, "answer", 1.0)
+    other = visitor(keyed)
     other.click("Take control")
     until(lambda: operator.seat()["asking"] == other.seat()["visitor"])
     assert operator.drives()
