@@ -57,10 +57,13 @@ def decode(raw: bytes) -> list[dict[str, Any]]:
 
 
 class Client:
-    """Keeps `gui` (uuid -> message) and `nodes` (name -> properties) as a browser would. alive: answers pings."""
+    """Keeps `gui` (uuid -> message) and `nodes` (name -> properties) as a browser would.
+
+    alive: answers pings. ahead: frames that are received before they are taken.
+    """
 
     def __init__(self, port: int, *, path: str = "/", origin: str | None = None, headers: dict[str, str] | None = None,
-                 camera: bool = True) -> None:
+                 camera: bool = True, ahead: int = 16) -> None:
         self.gui: dict[str, dict[str, Any]] = {}
         self.nodes: dict[str, dict[str, Any]] = {}
         self.commands: dict[str, str] = {}
@@ -69,7 +72,7 @@ class Client:
         self.ready, self.closed = threading.Event(), threading.Event()
         self.close_code: int | None = None
         self._connect: dict[str, Any] = {
-            "uri": f"ws://127.0.0.1:{port}{path}", "origin": origin, "additional_headers": headers}
+            "uri": f"ws://127.0.0.1:{port}{path}", "origin": origin, "additional_headers": headers, "max_queue": ahead}
         self._camera = camera
         self._socket: Any = None
         self._loop = asyncio.new_event_loop()

@@ -13,7 +13,7 @@ from app.serve.journal import Journal
 from app.serve.mailbox import PLOT_POINTS, Mailbox, Note
 from app.serve.pictures import EMPTY, OBSTACLE, Pictures
 from app.serve.session import Phase, Session, Status
-from app.serve.sight import MAX_POINTS, NEAR_BASE, Sight
+from app.serve.sight import MAX_POINTS, NEAR_BASE, VOXEL, Sight
 from hrc.cell.cell import Cell
 from hrc.config import Config
 from hrc.events import MoveObstacle, Pull, Reset, SetParameter, Stop
@@ -114,6 +114,18 @@ def test_points_are_few_and_near_even_when_the_view_is_full() -> None:
     assert MAX_POINTS / 2 < len(points) <= MAX_POINTS
     assert np.linalg.norm(points, axis=1).max() < NEAR_BASE
     assert len(sight.points(DepthFrame(0, np.full(camera.shape, np.inf, np.float32)))) == 0
+
+
+def test_of_points_that_crowd_one_stands_for_its_voxel() -> None:
+    camera = Camera()
+    p_world = np.array([-0.3, 0.2, 0.5])
+    u, v, z = camera.project(apply(camera.T_camera_world, p_world))
+    depth = np.full(camera.shape, np.inf, np.float32)
+    depth[round(float(v)) - 9:round(float(v)) + 9, round(float(u)) - 9:round(float(u)) + 9] = z
+    points = Sight(camera).points(DepthFrame(0, depth))
+    assert len({tuple(cell) for cell in np.floor((points + NEAR_BASE) / VOXEL).astype(int)}) == len(points) < 18 * 18
+    far = np.linalg.norm(points[:, None] - points, axis=2) + np.eye(len(points))
+    assert far.min(axis=1).max() < 2.0 * VOXEL, "none is left out between them"
 
 
 def test_a_point_of_the_robot_is_in_the_picture_wherever_the_camera_stands() -> None:

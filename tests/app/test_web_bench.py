@@ -1,5 +1,6 @@
 """What `bench web` counts and times, against the real page."""
 
+import asyncio
 import threading
 import time
 
@@ -24,6 +25,29 @@ def test_every_byte_is_counted_to_a_stream(served: Page) -> None:
     assert client.streams["/robot"] > 0
     assert client.streams["camera images"] > client.streams["banner and texts"] > 0
     assert all(0.0 <= late < 10.0 for late in client.late)
+
+
+class Thin(Metered):
+    """A visitor who takes RATE bytes a second, a sixth of what the page sends."""
+
+    RATE = 4e4
+
+    async def take_frame(self, raw: bytes) -> None:
+        await super().take_frame(raw)
+        if self.ready.is_set():  # what is sent once came before
+            await asyncio.sleep(len(raw) / self.RATE)
+
+
+@pytest.mark.usefixtures("raw")
+def test_over_a_thin_line_come_fewer_pictures_and_none_that_is_old(served: Page) -> None:
+    client = Thin(served.server.get_port(), ahead=1)
+    until(client.ready.is_set)
+    time.sleep(6.0)
+    received = client.bytes
+    time.sleep(2.0)
+    client.close()
+    assert client.bytes - received < 4 * Thin.RATE, "this line is as thin as it should be"
+    assert client.late[-1] < 2.5
 
 
 def test_a_visitor_that_drives_pulls_the_arm_and_says_when(served: Page, raw: VClient) -> None:
