@@ -31,7 +31,6 @@ class Steering:
         self._paths: dict[str, Path] = {config.kind: task.path}
         self._kind = config.kind
         self._target = self._goal = reference.x_d if config.kind == FOLLOW else None
-
         self.configure(config)
 
     def configure(self, config: TaskConfig) -> None:

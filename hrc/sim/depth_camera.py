@@ -52,9 +52,9 @@ class SensorConfig(Parameters):
 class DepthCamera:
     """Renders robot, obstacles and environment from its true pose, spoils the image, and delivers it late.
 
-    camera: as calibrated; the true one, `true_camera`, is off by the config's extrinsic error. bodies: all obstacles
-    that may ever be drawn. latency: frames between exposure and delivery, by
-    default those of the config. Raises DeviceError for an unknown device.
+    camera: as calibrated; the true one, `true_camera`, is off by the config's extrinsic error. bodies: all obstacles that may
+    ever be drawn. latency: frames between exposure and delivery, by default those of the config. Raises DeviceError for an
+    unknown device.
     """
 
     def __init__(self, camera: Camera, environment: Sequence[FixedBox], bodies: Sequence[BodySpec],

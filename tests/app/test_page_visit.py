@@ -46,6 +46,10 @@ def test_keys_palette_theme_hint_and_settings_file(tab: Any, tmp_path: Path) -> 
     expect(banner).to_have_attribute("data-time", f"{paused_at + 0.01:.3f}")
     tab.keyboard.press("p")
     expect(banner).to_have_attribute("data-paused", "false")
+    later(tab, 1.0)
+    before = banner.get_attribute("data-time")
+    tab.keyboard.press("Backspace")
+    tab.wait_for_function(f"() => Number(document.querySelector('#eb-banner').dataset.time) < {before}")
     assert tab.evaluate(SCHEME) == "dark"
     tab.keyboard.press("Control+k")
     tab.get_by_placeholder("Search commands").fill("light")
