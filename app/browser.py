@@ -3,6 +3,8 @@
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -16,6 +18,11 @@ FLAGS = [
 VIEWPORT: Any = {"width": 1000, "height": 620}
 COARSE = "fixedDpr=0.25"
 """Asks the page for few pixels, because a CPU draws them."""
+ASIDE = """#!/bin/sh
+echo 19 2>/dev/null >/proc/self/autogroup
+exec nice -n 19 {} "$@"
+"""
+"""Where the kernel shares the cores out by session, a process's own niceness counts within its session only."""
 LATE = """() => {
   window.late = [];
   let seen = null;
@@ -36,8 +43,8 @@ def executable() -> str | None:
 
 
 @contextmanager
-def launched(*flags: str) -> "Iterator[Browser]":
-    """A running one. flags: beside FLAGS.
+def launched(*flags: str, aside: bool = False) -> "Iterator[Browser]":
+    """A running one. flags: beside FLAGS. aside: it gives way to whoever else wants the cores, as if it ran elsewhere.
 
     Raises ModuleNotFoundError without playwright, FileNotFoundError without a Chromium.
     """
@@ -46,7 +53,12 @@ def launched(*flags: str) -> "Iterator[Browser]":
     path = executable()
     if path is None:
         raise FileNotFoundError("no Chromium on this machine (Debian: apt install chromium)")
-    with sync_playwright() as playwright:
+    with TemporaryDirectory() as folder, sync_playwright() as playwright:
+        if aside:
+            script = Path(folder) / "chromium"
+            script.write_text(ASIDE.format(path))
+            script.chmod(0o700)
+            path = str(script)
         browser = playwright.chromium.launch(executable_path=path, headless=True, args=[*FLAGS, *flags])
         try:
             yield browser

@@ -27,6 +27,9 @@ CAMERA = {"type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position
           "near": 0.01, "far": 100.0, "image_height": 600, "image_width": 800, "look_at": (0.0, 0.0, 0.0),
           "up_direction": (0.0, 0.0, 1.0)}
 
+ELSEWHERE = 15
+"""Niceness of a process of clients: they stand for people at machines of their own."""
+
 
 def unpack(raw: bytes) -> tuple[list[dict[str, Any]], list[int], int]:
     """The messages of one frame, the sizes of the arrays that follow them, and how many bytes the messages take in it."""

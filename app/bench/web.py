@@ -1,6 +1,7 @@
 """What the page costs and how quick it is: CPU, bytes, delays and the cell's real-time factor, with one and three clients."""
 
 import contextlib
+import os
 import platform
 import time
 from collections.abc import Iterator, Sequence
@@ -16,6 +17,7 @@ from app.bench.cpu import by_part, cores
 from app.bench.report import check, write
 from app.bench.traffic import LINK, Point, Visit, visit
 from app.browser import delays, launched, opened
+from app.client import ELSEWHERE
 from app.serve.access import Access
 from app.serve.main import Page
 from hrc.events import Pull
@@ -79,7 +81,7 @@ def measure(device: str, seconds: float) -> dict[str, Any]:
     page.start()
     try:
         _until_running(page)
-        with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        with ProcessPoolExecutor(1, get_context("spawn"), os.nice, (ELSEWHERE,)) as pool:
             pool.submit(abs, 0).result()  # its start is not to be seen in the figures
             rows = [_row(audience, page, felt, pool, seconds) for audience in AUDIENCES]
     finally:

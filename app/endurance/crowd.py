@@ -11,7 +11,7 @@ import numpy as np
 
 from app.client import Client, until
 
-MOST = 6
+MOST = 3
 """Visitors at once."""
 LINKS = tuple(f"/robot/link_{i}" for i in range(3, 8))
 BALL = "/gizmos/ball"

@@ -1,8 +1,12 @@
-"""`elbowroom soak`: the page with a restless audience, two browsers and a rotating recording, for as long as is asked for."""
+"""`elbowroom soak`: the page with a restless audience, two browsers and a rotating recording, for as long as is asked for.
+
+The audience gives way to the page where both want the cores: it stands for people at machines of their own.
+"""
 
 import contextlib
 import logging
 import multiprocessing
+import os
 import sys
 import tempfile
 import time
@@ -16,6 +20,7 @@ from tqdm import tqdm
 
 from app.bench.report import check, write
 from app.browser import launched, opened
+from app.client import ELSEWHERE
 from app.endurance.crowd import riot
 from app.endurance.health import Health, Sample, Steps, faults, summary
 from app.record.recorder import Recorder
@@ -136,7 +141,7 @@ def _run(job: Job, folder: Path) -> dict[str, Any]:
             time.sleep(0.1)
         tabs = _browsers(stack, page.url, job.browsers, errors)
         context = multiprocessing.get_context("spawn")
-        pool = stack.enter_context(ProcessPoolExecutor(1, context))
+        pool = stack.enter_context(ProcessPoolExecutor(1, context, os.nice, (ELSEWHERE,)))
         over = stack.enter_context(context.Manager()).Event()
         crowd = pool.submit(riot, page.server.get_port(), job.seed, over, seconds + 60.0)
         stack.callback(over.set)
@@ -154,7 +159,7 @@ def _recorder(config: Config, folder: Path, rotate: float) -> Recorder:
     scene = load_scene(config.scene)
     cameras = {setup.name: Camera(setup.camera) for setup in rig(config, scene)}
     return Recorder(folder / "soak.rrd", base_hz=config.rates.base_hz, scene=scene, cameras=cameras, parameters=keys(config),
-                    about={"scenario": SCENARIO, "seed": config.seed}, rotate=rotate)
+                    about={"scenario": SCENARIO, "seed": config.seed}, rotate=rotate, footer=False)
 
 
 def _finished(recorder: Recorder) -> dict[str, Any]:
@@ -170,7 +175,7 @@ def _finished(recorder: Recorder) -> dict[str, Any]:
 def _browsers(stack: contextlib.ExitStack, url: str, number: int, errors: Errors) -> list[Any]:
     if number == 0:
         return []
-    browser, tabs = stack.enter_context(launched()), []
+    browser, tabs = stack.enter_context(launched(aside=True)), []
     for i in range(number):
         tab = opened(browser, url)
         errors.watch(tab, f"browser {i + 1}")
