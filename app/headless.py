@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from app import metrics, output, settings
 from app.interrupt import Interrupt
-from app.record.folder import EventLog, write, write_json
-from app.record.signals import SignalTable
+from app.record.folder import METRICS, SESSION, EventLog, write_json
+from app.record.signals import Columns
+from app.record.spool import Spool, finish
 from app.record.tape import TapeTable
 from hrc.cell import pace, scenario
 from hrc.cell.cell import Cell
@@ -66,7 +67,7 @@ def execute(job: Job) -> dict[str, Any]:
     """Run, write the output folder, and return the metrics.
 
     Raises HrcError before anything is written if the scenario, a setting, the device or the folder is refused. After
-    Ctrl-C the folder holds the part that was run, and the metrics say `interrupted`.
+    Ctrl-C the folder holds the part that was run, and the metrics say `interrupted`. A kill leaves that to `recover`.
     """
     clock = _Clock()
     script = scenario.load(job.scenario)
@@ -77,29 +78,30 @@ def execute(job: Job) -> dict[str, Any]:
     _say(job, "building the cell (the very first time its kernels compile, about 5 s) ...")
     cell = Cell(config, job.device)
     about = {"scenario": script.name, "preset": job.preset, "seed": config.seed, "device": job.device, **versions()}
-    table, log, tape = SignalTable(), EventLog(), TapeTable()
+    tape = TapeTable()
     with output.folder(job.out, overwrite=job.overwrite) as folder:
-        recorder = _recorder(job, folder / "session.rrd", cell, about) if job.record else None
-        observers: list[Observer] = [table, log, tape, *([recorder] if recorder else [])]
+        spool = Spool(folder, config, about)
+        recording = recorder(folder / SESSION, cell, about, job.depth) if job.record else None
+        observers: list[Observer] = [spool, tape, *([recording] if recording else [])]
         clock.lap("set_up")
         try:
             interrupted = _drive(job, cell, Inbox(script, config.rates.base_hz), observers, end)
         finally:
-            problem = _close(recorder)
+            problem = _close(recording)
+            spool.close()
         clock.lap("run")
-        columns = table.columns()
+        columns = finish(folder)
         figures = {**about, "simulated_s": cell.tick / config.rates.base_hz, "interrupted": interrupted,
                    "recording_problem": problem, **metrics.compute(columns),
-                   "counts": _counts(cell, table, log, recorder),
-                   "refused": [f"{type(entry.event).__name__}: {entry.refused}" for entry in log.refused]}
-        write(folder, config, about, columns, log.entries)
+                   "counts": _counts(cell, len(columns["tick"]), spool.log, recording),
+                   "refused": [f"{type(entry.event).__name__}: {entry.refused}" for entry in spool.log.refused]}
         tape.write(folder)
         _draw(folder, script.name, columns, config)
         clock.lap("write")
         figures["wall_s"] = clock.laps
         figures["real_time_factor"] = figures["simulated_s"] / clock.laps["run"]
         figures["sizes_bytes"] = {path.name: path.stat().st_size for path in sorted(folder.iterdir())}
-        write_json(folder / "metrics.json", figures)
+        write_json(folder / METRICS, figures)
     return figures
 
 
@@ -121,7 +123,8 @@ def versions() -> dict[str, str]:
     return found
 
 
-def _recorder(job: Job, path: Path, cell: Cell, about: dict[str, Any]) -> "Recorder":
+def recorder(path: Path, cell: Cell, about: dict[str, Any], depth: "Depth") -> "Recorder":
+    """Of a session into session.rrd; the run waits for it. about: goes into the file."""
     from app.record.recorder import Recorder  # here, because rerun takes half a second and is an extra
     from hrc.cell.eyes import rig
     from hrc.vision.camera import Camera
@@ -129,7 +132,7 @@ def _recorder(job: Job, path: Path, cell: Cell, about: dict[str, Any]) -> "Recor
     config = cell.config
     cameras = {setup.name: Camera(setup.camera) for setup in rig(config, cell.scene)}
     return Recorder(path, base_hz=config.rates.base_hz, scene=cell.scene, cameras=cameras,
-                    parameters=keys(config), about=about, depth=job.depth, wait=True)
+                    parameters=keys(config), about=about, depth=depth, wait=True)
 
 
 def _close(recorder: "Recorder | None") -> str:
@@ -157,14 +160,14 @@ def _drive(job: Job, cell: Cell, inbox: Inbox, observers: list[Observer], end: i
     return interrupt.set
 
 
-def _counts(cell: Cell, table: SignalTable, log: EventLog, recorder: "Recorder | None") -> dict[str, int]:
-    counts = {"ticks": cell.tick, "control_ticks": len(table), "events": len(log.taken), "refused": len(log.refused)}
+def _counts(cell: Cell, rows: int, log: EventLog, recorder: "Recorder | None") -> dict[str, int]:
+    counts = {"ticks": cell.tick, "control_ticks": rows, "events": len(log.taken), "refused": len(log.refused)}
     if recorder:
         counts |= {"depth_images": recorder.images_kept, "depth_images_dropped": recorder.images_dropped}
     return counts
 
 
-def _draw(folder: Path, name: str, columns: dict[str, Any], config: Config) -> None:
+def _draw(folder: Path, name: str, columns: Columns, config: Config) -> None:
     from app.report import figure
 
     figure(folder / ("figure5.png" if name == "paper" else "figure.png"), columns, F_relax=config.control.f_relax,

@@ -1,6 +1,8 @@
 """An output folder that appears as a whole or not at all."""
 
 import errno
+import fcntl
+import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,6 +35,27 @@ def check(out: Path, *, overwrite: bool = False) -> None:
 
 
 @contextmanager
+def claimed(path: Path) -> Iterator[None]:
+    """Have a folder to oneself; the system gives it back when the process ends, however that happens.
+
+    Raises OutputError if somebody else has it.
+    """
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError:
+        raise OutputError(f"{path} is still being written") from None
+    finally:
+        os.close(descriptor)
+
+
+def partial(out: Path) -> Path:
+    """Where `out` is until it is finished, and where it stays if the process is killed."""
+    return out.with_name(f".{out.name}.partial")
+
+
+@contextmanager
 def folder(out: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """A hidden sibling to write into, renamed to `out` at the end.
 
@@ -40,24 +63,26 @@ def folder(out: Path, *, overwrite: bool = False) -> Iterator[Path]:
     evidence.
     """
     check(out, overwrite=overwrite)
-    partial = out.with_name(f".{out.name}.partial")
+    made = partial(out)
     try:
-        if partial.exists():
-            shutil.rmtree(partial)
-        partial.mkdir(parents=True)
+        if made.exists():
+            with claimed(made):
+                shutil.rmtree(made)
+        made.mkdir(parents=True)
     except OSError as error:
         raise OutputError(f"cannot make the output folder {out}: {error.strerror}") from None
-    try:
-        yield partial
-        if out.exists():
-            shutil.rmtree(out)
-        partial.rename(out)
-    except (HrcError, KeyboardInterrupt):
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
-    except Exception as error:
-        if isinstance(error, OSError) and error.errno in NO_ROOM:
-            shutil.rmtree(partial, ignore_errors=True)
-            raise OutputError(f"cannot write {out}: {error.strerror}") from None
-        error.add_note(f"What was written until then is in {partial}")
-        raise
+    with claimed(made):
+        try:
+            yield made
+            if out.exists():
+                shutil.rmtree(out)
+            made.rename(out)
+        except (HrcError, KeyboardInterrupt):
+            shutil.rmtree(made, ignore_errors=True)
+            raise
+        except Exception as error:
+            if isinstance(error, OSError) and error.errno in NO_ROOM:
+                shutil.rmtree(made, ignore_errors=True)
+                raise OutputError(f"cannot write {out}: {error.strerror}") from None
+            error.add_note(f"What was written until then is in {made}")
+            raise

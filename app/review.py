@@ -22,11 +22,11 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote, urlsplit
 
-from app.record.repair import repair
+from app.record.folder import SESSION, files
+from app.record.recover import mend
 from hrc.errors import HrcError
 
 LOOPBACK = "127.0.0.1"
-SESSION = "session.rrd"
 VIEWER = {"index.html": "text/html; charset=utf-8", "re_viewer.js": "text/javascript", "re_viewer_bg.wasm": "application/wasm"}
 POLICY = ("default-src 'self'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
           "connect-src 'self'; img-src 'self' data: blob:; font-src 'self' data:; worker-src 'self' blob:; "
@@ -42,26 +42,16 @@ class ReviewError(HrcError):
 def recordings(folders: Sequence[Path]) -> list[Path]:
     """The recording of each folder with all its files, or the file itself; a torn one is repaired, and that is said.
 
-    Raises ReviewError where there is none, and RepairError for a file that is none.
+    Raises ReviewError where there is none, RepairError for a file that is none, and OutputError for one that is not finished.
     """
     found = []
     for folder in folders:
+        mend(folder, lambda line: print(line, file=sys.stderr))
         paths = files(folder) if folder.is_dir() else [folder]
         if not paths or not paths[0].is_file():
             raise ReviewError(f"{folder} has no {SESSION}; `run` writes one unless it is told --no-record")
-        for path in paths:
-            if torn := repair(path).torn:
-                print(f"{path} was not written to the end: cut its last {torn} bytes", file=sys.stderr)
-            found.append(path.resolve())
+        found += [path.resolve() for path in paths]
     return found
-
-
-def files(folder: Path) -> list[Path]:
-    """The files of a recording in their order: session.rrd, session_2.rrd, ..."""
-    first = folder / SESSION
-    numbered = {path: re.fullmatch(rf"{first.stem}_(\d+)", path.stem) for path in folder.glob(f"{first.stem}_*.rrd")}
-    later = sorted((int(match[1]), path) for path, match in numbered.items() if match)
-    return [first, *(path for _, path in later)] if first.is_file() else []
 
 
 def program() -> Path:

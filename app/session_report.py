@@ -2,6 +2,7 @@
 
 import base64
 import os
+import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -11,6 +12,7 @@ from typing import Any
 from app import gates, metrics
 from app.output import OutputError
 from app.record.folder import Session, SessionError, read
+from app.record.recover import recover
 from app.report import figure
 from hrc.config import Config
 from hrc.parameters import keys
@@ -29,12 +31,15 @@ td:not(:first-child) { font-variant-numeric: tabular-nums } tr:nth-child(even) {
 def write(folders: Sequence[Path], out: Path, *, overwrite: bool = False) -> None:
     """Write the page.
 
-    Raises SessionError for a folder of no session, OutputError for a file that exists or cannot be written.
+    Raises SessionError for a folder of no session, OutputError for one that is not finished or a file that exists or cannot be
+    written.
     """
     if not folders:
         raise SessionError("name a folder that `run` or `replay` has written")
     if out.is_dir() or (out.exists() and not overwrite):
         raise OutputError(f"{out} exists; choose another, or replace it with --overwrite")
+    for folder in folders:
+        recover(folder, lambda line: print(line, file=sys.stderr))
     sessions = [read(folder) for folder in folders]
     text = page(sessions)
     try:

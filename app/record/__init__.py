@@ -2,3 +2,7 @@
 
 Recorders are observers of snapshots. Import `app.record.recorder` only where a session is written: it needs rerun.
 """
+
+import os
+
+os.environ.setdefault("RUST_LOG", "warn,re_log_encoding=error")  # else rerun warns of each file that it writes without a footer

@@ -1,5 +1,6 @@
 """Recordings of a running cell, one at a time, each in a folder of its own, and the list of those that there are."""
 
+import contextlib
 import io
 import json
 import re
@@ -11,10 +12,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app import metrics
-from app.record.folder import SKIPPED, EventLog, write, write_json
-from app.record.signals import SignalTable
-from app.review import SESSION, files
+from app import output
+from app.record.folder import METRICS, SESSION, SKIPPED, EventLog, files
+from app.record.recover import complete, mend
+from app.record.spool import Spool
 from hrc.cell.eyes import rig
 from hrc.config import Config
 from hrc.errors import HrcError, unknown
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from app.record.recorder import Depth
 
 MOST_S = 3600.0
-"""Simulated seconds of the longest recording [s]: its signals are kept in memory, 0.6 GB an hour."""
+"""Simulated seconds of the longest recording [s]: its signals pass through memory at the end, 0.6 GB an hour."""
 MOST_BYTES = 1_000_000_000
 """Size of the largest download."""
 
@@ -38,46 +39,59 @@ class ArchiveError(HrcError):
 
 
 class Recording:
-    """One that is being made: the observer of its cell. skipped: control ticks of the cell before it."""
+    """One that is being made: the observer of its cell. problem: why it will not run again, if so."""
 
     def __init__(self, folder: Path, config: Config, about: Mapping[str, Any], depth: "Depth") -> None:
-        """Raises RecordingError if the file cannot be written."""
+        """Raises RecordingError if the file cannot be written, OutputError if somebody else has the folder."""
         from app.record.recorder import Recorder  # here, because rerun takes half a second and is an extra
 
-        self.folder, self.skipped = folder, 0
+        self.folder, self.problem, self._rows = folder, "", 0
         self._config, self._about = config, about
+        self._spool: Spool | None = None
         scene = load_scene(config.scene)
         cameras = {setup.name: Camera(setup.camera) for setup in rig(config, scene)}
-        self.recorder = Recorder(folder / SESSION, base_hz=config.rates.base_hz, scene=scene, cameras=cameras,
-                                 parameters=keys(config), about=about, depth=depth)
-        self.table = SignalTable()
+        with contextlib.ExitStack() as own:
+            own.enter_context(output.claimed(folder))
+            self.recorder = Recorder(folder / SESSION, base_hz=config.rates.base_hz, scene=scene, cameras=cameras,
+                                     parameters=keys(config), about=about, depth=depth, beside=self._keep, footer=False)
+            self._own = own.pop_all()
 
     @property
     def seconds(self) -> float:
         """Simulated length so far [s]."""
-        return len(self.table) / self._config.rates.control_hz
+        return self._rows / self._config.rates.control_hz
+
+    def begin(self, before: EventLog, cycles: int) -> None:
+        """To be called before the first step. before: events of the cell; cycles: control ticks that it has taken."""
+        self._spool = Spool(self.folder, self._config, {**self._about, SKIPPED: cycles}, before)
 
     def on_step(self, snapshot: Snapshot) -> None:
         """One step has been taken."""
+        self._rows += snapshot.fresh_control
         self.recorder.on_step(snapshot)
-        self.table.on_step(snapshot)
 
-    def finish(self, log: EventLog) -> str:
-        """Write what is left; the problem, if there was one. log: of the cell, from its start."""
-        problems, about = [], {**self._about, SKIPPED: self.skipped}
+    def finish(self) -> str:
+        """Write what is left; the problem, if there was one."""
+        problems = []
         try:
             self.recorder.close()
         except HrcError as error:
             problems.append(str(error))
+        if self._spool is not None:
+            self._try(self._spool.close)
+        self._try(complete, self.folder, "; ".join(problems))
+        self._own.close()
+        return "; ".join([*problems, *filter(None, [self.problem])])
+
+    def _keep(self, snapshot: Snapshot) -> None:
+        if self._spool is not None and not self.problem:
+            self._try(self._spool.on_step, snapshot)
+
+    def _try(self, write: Callable[..., object], *args: object) -> None:
         try:
-            columns = self.table.columns()
-            write(self.folder, self._config, about, columns, log.entries)
-            write_json(self.folder / "metrics.json", {
-                **about, "simulated_s": self.seconds, "recording_problem": "; ".join(problems),
-                **metrics.compute(columns)})
-        except OSError as error:
-            problems.append(f"what a replay needs could not be written: {error.strerror}")
-        return "; ".join(problems)
+            write(*args)
+        except (OSError, HrcError) as error:
+            self.problem = self.problem or f"what a replay needs could not be written: {error}"
 
 
 class Archive:
@@ -105,8 +119,8 @@ class Archive:
             self._log.on_step(snapshot)
             if (now := self._now) is not None:
                 now.on_step(snapshot)
-                if now.recorder.stopped:
-                    self._end(now.recorder.stopped)
+                if why := now.recorder.stopped or now.problem:
+                    self._end(why)
                 elif now.seconds >= MOST_S:
                     self._end(f"it is {MOST_S / 3600:g} h long")
             self._cycles += snapshot.fresh_control
@@ -130,16 +144,17 @@ class Archive:
             shutil.rmtree(folder, ignore_errors=True)
             raise
         with self._lock:
-            made.skipped, self._now = self._cycles, made
+            made.begin(self._log, self._cycles)
+            self._now = made
         return folder.name
 
     def stop(self) -> str:
         """Finish the recording; the problem, if there was one. Raises ArchiveError if there is none."""
         with self._lock:
-            now, log, self._now = self._now, self._log, None
+            now, self._now = self._now, None
         if now is None:
             raise ArchiveError("nothing is being recorded")
-        return now.finish(log)
+        return now.finish()
 
     def close(self) -> None:
         """Finish what is being recorded."""
@@ -147,18 +162,18 @@ class Archive:
             self.stop()
 
     def _end(self, why: str) -> None:
-        now, log, self._now = self._now, self._log, None
+        now, self._now = self._now, None
         if now is not None:
-            threading.Thread(target=self._say_over, args=(now, log, why), name="end of recording").start()
+            threading.Thread(target=self._say_over, args=(now, why), name="end of recording").start()
 
-    def _say_over(self, now: Recording, log: EventLog, why: str) -> None:
-        problem = now.finish(log)
+    def _say_over(self, now: Recording, why: str) -> None:
+        problem = now.finish()
         self.over(f"recording {now.folder.name} has ended: {problem or why}")
 
     # -- those that there are ---------------------------------------------------------------------------------------
 
     def names(self) -> list[str]:
-        """All finished recordings, the newest first."""
+        """All recordings but the one that is being made, the newest first."""
         now = self._now.folder.name if self._now is not None else ""
         if not self.root.is_dir():
             return []
@@ -166,10 +181,16 @@ class Archive:
         return [path.name for path in sorted(folders, key=lambda path: (path / SESSION).stat().st_mtime, reverse=True)]
 
     def folder(self, name: str) -> Path:
-        """The folder of a finished recording. Raises ArchiveError for anything else: a name is no path."""
+        """The folder of one of them. Raises ArchiveError for anything else: a name is no path."""
         if name not in self.names():
             raise ArchiveError(unknown("recording", name, self.names()))
         return self.root / name
+
+    def mend(self, name: str) -> list[str]:
+        """Put in order what a killed process has left of a recording; what was done, in words."""
+        done: list[str] = []
+        mend(self.folder(name), done.append)
+        return done
 
     def size(self, name: str) -> int:
         """Bytes of all files of a recording."""
@@ -178,13 +199,14 @@ class Archive:
     def seconds(self, name: str) -> float | None:
         """Simulated length of a recording [s]; None for one that was cut off."""
         try:
-            return float(json.loads((self.folder(name) / "metrics.json").read_text())["simulated_s"])
+            return float(json.loads((self.folder(name) / METRICS).read_text())["simulated_s"])
         except (OSError, ValueError, KeyError):
             return None
 
     def delete(self, name: str) -> None:
-        """Remove a finished recording from the disk."""
-        shutil.rmtree(self.folder(name))
+        """Remove a recording from the disk. Raises OutputError while another process makes it."""
+        with output.claimed(self.folder(name)):
+            shutil.rmtree(self.root / name)
 
     def packed(self, name: str) -> bytes:
         """A recording as a zip file. Raises ArchiveError for one that is too large."""

@@ -16,11 +16,12 @@ def review(cameras: Sequence[str], *, replayed: bool = False) -> rrb.Blueprint:
     plot = partial(_plot, origins=(entities.SIGNALS, entities.REPLAY) if replayed else (entities.SIGNALS,))
     scene = rrb.Spatial3DView(
         name="Scene", origin=entities.WORLD, background=[24, 27, 33],
-        eye_controls=rrb.EyeControls3D(position=(1.5, -0.9, 1.2), look_target=(-0.2, 0.0, 0.5), eye_up=(0, 0, 1)))
+        eye_controls=rrb.EyeControls3D(position=(1.1, -1.05, 1.05), look_target=(-0.15, 0.0, 0.5), eye_up=(0, 0, 1)))
     events = rrb.TextLogView(name="Events", origin=entities.EVENTS)
     parameters = rrb.TextDocumentView(name="Parameters", origin=entities.PARAMETERS)
+    lanes = 1 + len(cameras) + replayed
     left = rrb.Vertical(scene, rrb.StateTimelineView(name="State", origin="/state"), rrb.Tabs(events, parameters),
-                        row_shares=[5.6, 1.9, 1.9])
+                        row_shares=[5.6, 0.9 + 0.5 * min(lanes, 5), 1.9])
     pairs = [rrb.Horizontal(_image("Depth", name, entities.depth(name)), _image("Links seen", name, entities.link_ids(name)),
                             name=name) for name in cameras]
     images = pairs[0] if len(pairs) == 1 else rrb.Tabs(*pairs)

@@ -1,6 +1,7 @@
 """The folder of a run: what makes it run again, and its signals. docs/recording.md lists the files."""
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from hrc.events import Event, Reset, from_dict, to_dict
 from hrc.messages import Snapshot
 from hrc.parameters import assembled, keys
 
-EVENTS, SIGNALS = "events.jsonl", "signals.parquet"
+EVENTS, SIGNALS, METRICS, SESSION = "events.jsonl", "signals.parquet", "metrics.json", "session.rrd"
 SKIPPED = "control_ticks_before"
 """In config.json: the control ticks that the cell had taken when the recording began."""
 
@@ -40,9 +41,10 @@ class Entry:
 class EventLog:
     """An observer that keeps every event; it must see a session from its start, for a replay begins there."""
 
-    def __init__(self) -> None:
-        self.entries: list[Entry] = []
-        self._last = 0
+    def __init__(self, before: "EventLog | None" = None) -> None:
+        """before: one that has seen the session until now; this one goes on with a copy of it."""
+        self.entries: list[Entry] = list(before.entries) if before is not None else []
+        self._last = before._last if before is not None else 0
 
     def on_step(self, snapshot: Snapshot) -> None:
         """Take the events of this step."""
@@ -83,9 +85,27 @@ def write(folder: Path, config: Config, about: Mapping[str, Any], columns: Colum
     config: at the start. about: goes into config.json and signals.parquet, with the `device` at least.
     """
     write_parquet(folder / SIGNALS, columns, about)
+    write_config(folder, config, about)
+    (folder / EVENTS).write_text("".join(map(line, events)))
+
+
+def write_config(folder: Path, config: Config, about: Mapping[str, Any]) -> None:
+    """Write config.json alone."""
     write_json(folder / MARK, {**about, "parameters": keys(config)})
-    lines = [{"tick": e.tick, "event": to_dict(e.event), **({"refused": e.refused} if e.refused else {})} for e in events]
-    (folder / EVENTS).write_text("".join(json.dumps(line) + "\n" for line in lines))
+
+
+def line(entry: Entry) -> str:
+    """A line of events.jsonl."""
+    refused = {"refused": entry.refused} if entry.refused else {}
+    return json.dumps({"tick": entry.tick, "event": to_dict(entry.event), **refused}) + "\n"
+
+
+def files(folder: Path) -> list[Path]:
+    """The files of a recording in their order: session.rrd, session_2.rrd, ..."""
+    first = folder / SESSION
+    numbered = {path: re.fullmatch(rf"{first.stem}_(\d+)", path.stem) for path in folder.glob(f"{first.stem}_*.rrd")}
+    later = sorted((int(match[1]), path) for path, match in numbered.items() if match)
+    return [first, *(path for _, path in later)] if first.is_file() else []
 
 
 def read(folder: Path) -> Session:

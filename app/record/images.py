@@ -38,7 +38,7 @@ class RecordedImages:
     def __call__(self, camera: str, step: int) -> NDArray[np.float32]:
         """The depth image [m] (H, W) that was taken after this many steps. Raises SessionError if it was not kept."""
         if camera not in self._left:
-            self._left[camera], self._ahead[camera] = self._blobs(camera), deque()
+            self._left[camera], self._ahead[camera] = blobs(self._paths, camera), deque()
         ahead = self._ahead[camera]
         while len(ahead) < _AHEAD and (following := next(self._left[camera], None)) is not None:
             ahead.append((following[0], self._pool.submit(metres, following[1])))
@@ -51,17 +51,19 @@ class RecordedImages:
                                "it must have been made with --depth full")
         return ahead[0][1].result()
 
-    def _blobs(self, camera: str) -> Iterator[tuple[int, bytes]]:
-        entity, component = entities.depth(camera), "EncodedDepthImage:blob"
-        for path in self._paths:
-            for chunk in RrdReader(str(path)).stream().filter(content=[entity]):
-                if chunk.entity_path != entity or chunk.is_static:
-                    continue
-                batch = chunk.to_record_batch()
-                if component in batch.schema.names:
-                    blobs = batch.column(component).flatten()
-                    yield from sorted(zip(batch.column("step").to_pylist(),
-                                          (blob.values.to_numpy().tobytes() for blob in blobs), strict=True))
+
+def blobs(paths: Sequence[Path], camera: str) -> Iterator[tuple[int, bytes]]:
+    """The depth images of a camera in their order: (step, PNG)."""
+    entity, component = entities.depth(camera), "EncodedDepthImage:blob"
+    for path in paths:
+        for chunk in RrdReader(str(path)).stream().filter(content=[entity]):
+            if chunk.entity_path != entity or chunk.is_static:
+                continue
+            batch = chunk.to_record_batch()
+            if component in batch.schema.names:
+                found = batch.column(component).flatten()
+                yield from sorted(zip(batch.column("step").to_pylist(),
+                                      (blob.values.to_numpy().tobytes() for blob in found), strict=True))
 
 
 def metres(blob: bytes) -> NDArray[np.float32]:

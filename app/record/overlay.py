@@ -26,7 +26,8 @@ def write(path: Path, recording: Path, columns: Columns, parameters: Mapping[str
     own = next(entry for entry in RrdReader(os.fspath(recording)).recordings())
     stream = rr.RecordingStream(APPLICATION, recording_id=own.recording_id, send_properties=False)
     stream.set_log_time_enabled(False)
-    stream.set_sinks(rr.FileSink(os.fspath(path)), default_blueprint=blueprint.review(cameras, replayed=True))
+    stream.set_sinks(rr.FileSink(os.fspath(path)))
+    stream.send_blueprint(blueprint.review(cameras, replayed=True))  # a default would not take the place of the session's own
     ticks = columns["tick"]
     index = [rr.TimeColumn("sim_time", duration=(ticks * tick_ns).astype("timedelta64[ns]")),
              rr.TimeColumn("step", sequence=ticks.copy())]

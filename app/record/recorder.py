@@ -1,15 +1,16 @@
 """The recorder: an observer of snapshots that never holds the loop up.
 
-The loop copies numbers into blocks; a worker thread encodes and writes them. When the worker falls behind, depth images
-are dropped and counted; signals, events and transitions never are.
+The loop hands over references; a worker thread takes what it needs out of them, encodes and writes it. When the worker falls
+behind, depth images are dropped and counted; signals, events and transitions never are.
 """
 
 import contextlib
-import queue
 import shutil
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -33,6 +34,10 @@ _POSE_EVERY = 4
 """Poses are kept at every fourth control tick (50 Hz)."""
 _IMAGES = 8
 """Depth images that may wait for the worker."""
+_STEPS = 500
+"""Steps that may wait for the worker with all that they hold; the images of later ones are let go, for they are large."""
+_PERIOD = 0.05
+"""The worker looks for work this often [s]: to wake it would cost the loop more than to leave it a note."""
 RESERVE = 500_000_000
 """Bytes of disk below which the recording ends, while a footer still fits. The SDK itself would fail silently."""
 FULL = 1_000_000
@@ -45,8 +50,16 @@ class RecordingError(HrcError):
     """A session cannot be recorded."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Image:
+    camera: str
+    tick: int
+    frame: DepthFrame
+    robot: RobotImage
+
+
 class _Block:
-    """What the loop gathers between two deliveries; fresh arrays each time, for the SDK keeps references."""
+    """What is gathered between two deliveries; fresh arrays each time, for the SDK keeps references."""
 
     def __init__(self) -> None:
         self.rows = np.empty((_BLOCK, WIDTH))
@@ -67,16 +80,19 @@ class Recorder:
     Its clock counts on where a Reset sets the cell's back to 0. After ROTATE_S it goes on in NAME_2.rrd, and so on.
 
     cameras: by name. depth: which depth images to keep. base_hz: ticks a second. wait: let the loop wait for the worker rather
-    than drop depth images, for runs without a wall clock. reserve: bytes of disk that stay free.
+    than drop depth images, for runs without a wall clock. reserve: bytes of disk that stay free. beside: told of every step,
+    too, on the worker's thread. footer: end the file with an index, for which the SDK keeps 7 kB of memory for every chunk, or
+    1 to 2 MB for every second: not for what has no end.
     Raises RecordingError if the file exists, as while another recorder writes it, or cannot be written.
     """
 
     def __init__(self, path: Path, *, base_hz: int, scene: Scene, cameras: Mapping[str, Camera],
                  parameters: Mapping[str, Any], about: Mapping[str, Any], depth: Depth = "sampled", wait: bool = False,
-                 reserve: int = RESERVE, rotate: float = ROTATE_S) -> None:
+                 reserve: int = RESERVE, rotate: float = ROTATE_S, beside: Callable[[Snapshot], None] = lambda _: None,
+                 footer: bool = True) -> None:
         if depth not in get_args(Depth):
             raise RecordingError(unknown("choice of depth", depth, get_args(Depth)))
-        self.paths = [path.resolve()]
+        self.paths, self._beside = [path.resolve()], beside
         self._reserve, self._rotate = reserve, round(rotate * base_hz)
         self._clock = _Clock()
         self._begun = -1
@@ -91,13 +107,15 @@ class Recorder:
         self.images_kept = self.images_dropped = 0
         self.stopped = ""
         """Why the recording ended before the run did."""
-        self._images = threading.BoundedSemaphore(_IMAGES)
-        self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._queue: deque[tuple[int, Snapshot, float, tuple[_Image, ...]]] = deque()
+        self._images_in = self._images_out = 0
+        """Images handed to the worker, and done with by it: each is counted by one thread alone."""
+        self._wake, self._closing = threading.Event(), False
         self._failure: Exception | None = None
         _claim(path)
         try:
             self._writer = SessionWriter(path, tick_ns=1_000_000_000 // base_hz, scene=scene, cameras=cameras,
-                                         parameters=parameters, about=about)
+                                         parameters=parameters, about=about, footer=footer)
         except (OSError, RuntimeError) as error:
             raise RecordingError(f"cannot record to {path}: {error}") from None
         self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
@@ -106,32 +124,18 @@ class Recorder:
     def on_step(self, snapshot: Snapshot) -> None:
         """Take what this tick brought."""
         tick = self._clock.at(snapshot)
-        if self._begun < 0:
-            self._begun = tick
-        for event in snapshot.events:
-            self._put(self._writer.event, tick, _text(event))
-            if isinstance(event, (SetParameter, Reset)):
-                self._deliver()  # the rows until now belong to the value before
-                change = (event.key, event.value) if isinstance(event, SetParameter) else ("", None)
-                self._put(self._writer.set, *change)
-        for event, reason in snapshot.refused:
-            self._put(self._writer.event, tick, _text(event), refused=reason)
-        if snapshot.command.mode is not self._mode:
-            self._mode = snapshot.command.mode
-            self._put(self._writer.mode, tick, self._mode, snapshot.command.reason)
-        if snapshot.fresh_control:
-            self._take_row(snapshot, tick)
-        for view in snapshot.views:
-            if view.silent is not self._silent.get(view.camera):
-                self._silent[view.camera] = view.silent
-                self._put(self._writer.camera, tick, view.camera, silent=view.silent)
-            if snapshot.fresh_frame and self._depth != "none":
-                self._take_image(view)
+        images = self._admitted(snapshot) if snapshot.fresh_frame and self._depth != "none" else ()
+        if len(self._queue) >= _STEPS:
+            if self._wait:
+                self._until(lambda: len(self._queue) < _STEPS)
+            else:
+                snapshot = replace(snapshot, views=tuple(View(view.camera, silent=view.silent) for view in snapshot.views))
+        self._queue.append((tick, snapshot, time.perf_counter(), images))
 
     def close(self) -> None:
         """Write what is left and finish the file. Raises RecordingError if anything of the session was lost."""
-        self._deliver()
-        self._jobs.put(None)
+        self._closing = True
+        self._wake.set()
         self._worker.join()
         if not self.stopped:
             self._finish()
@@ -151,12 +155,90 @@ class Recorder:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _take_row(self, snapshot: Snapshot, tick: int) -> None:
+    # -- on the loop's thread ---------------------------------------------------------------------------------------
+
+    def _admitted(self, snapshot: Snapshot) -> tuple[_Image, ...]:
+        """The images of this step to be kept."""
+        images = []
+        for view in snapshot.views:
+            camera, frame, robot = view.camera, view.frame, view.robot_image
+            if frame is None or robot is None:
+                continue
+            tick = frame.tick + self._clock.offset
+            if tick < self._next_image[camera]:
+                continue
+            if self._wait:
+                self._until(lambda: self._images_in - self._images_out < _IMAGES)
+            elif self._images_in - self._images_out >= _IMAGES:
+                self.images_dropped += 1
+                self._next_image[camera] = tick + 1
+                continue
+            # The first frame in each gap, so that the mean rate is exact whatever the camera's.
+            self._next_image[camera] = (tick // self._image_gap + 1) * self._image_gap
+            self._images_in += 1
+            images.append(_Image(camera, tick, frame, robot))
+        return tuple(images)
+
+    def _until(self, there_is_room: Callable[[], bool]) -> None:
+        while not there_is_room():
+            self._wake.set()
+            time.sleep(0.0005)
+
+    # -- on the worker's thread -------------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        closing = False
+        while not closing:
+            self._wake.wait(_PERIOD)
+            self._wake.clear()
+            closing = self._closing  # no step comes after it
+            while self._queue:
+                tick, snapshot, seen, images = self._queue.popleft()
+                self._guarded(self._take, tick, snapshot, seen)
+                for image in images:
+                    self._guarded(self._write_image, image)
+                    self._images_out += 1  # whatever became of it: the loop may be waiting for its place
+                try:
+                    self._beside(snapshot)
+                except Exception as error:
+                    self._failure = self._failure or error
+        self._guarded(self._deliver)
+
+    def _guarded(self, job: Callable[..., None], *args: Any) -> None:
+        if self._failure or self.stopped:
+            return
+        try:
+            job(*args)
+        except (OSError, RuntimeError, ValueError) as error:
+            self._cut_off(str(error))
+        except Exception as error:  # kept, and raised by close(): a broken recording must not end the run
+            self._failure = error
+
+    def _take(self, tick: int, snapshot: Snapshot, seen: float) -> None:
+        if self._begun < 0:
+            self._begun = tick
+        for event in snapshot.events:
+            self._writer.event(tick, _text(event))
+            if isinstance(event, (SetParameter, Reset)):
+                self._deliver()  # the rows until now belong to the value before
+                self._writer.set(*((event.key, event.value) if isinstance(event, SetParameter) else ("", None)))
+        for event, reason in snapshot.refused:
+            self._writer.event(tick, _text(event), refused=reason)
+        if snapshot.command.mode is not self._mode:
+            self._mode = snapshot.command.mode
+            self._writer.mode(tick, self._mode, snapshot.command.reason)
+        if snapshot.fresh_control:
+            self._take_row(snapshot, tick, seen)
+        for view in snapshot.views:
+            if view.silent is not self._silent.get(view.camera):
+                self._silent[view.camera] = view.silent
+                self._writer.camera(tick, view.camera, silent=view.silent)
+
+    def _take_row(self, snapshot: Snapshot, tick: int, seen: float) -> None:
         block = self._block
         block.rows[block.n] = row(snapshot)
         block.rows[block.n, AT["tick"]] = tick
-        now = time.perf_counter()
-        block.periods[block.n], self._seen = now - self._seen, now
+        block.periods[block.n], self._seen = seen - self._seen, seen
         block.n += 1
         if self._control_ticks % _POSE_EVERY == 0:
             block.pose_ticks.append(tick)
@@ -170,41 +252,10 @@ class Recorder:
         if block.n == _BLOCK:
             self._deliver()
 
-    def _take_image(self, view: View) -> None:
-        camera, frame, robot = view.camera, view.frame, view.robot_image
-        if frame is None or robot is None:
-            return
-        tick = frame.tick + self._clock.offset
-        if tick < self._next_image[camera]:
-            return
-        if not self._images.acquire(blocking=self._wait):
-            self.images_dropped += 1
-            self._next_image[camera] = tick + 1
-            return
-        # The first frame in each gap, so that the mean rate is exact whatever the camera's.
-        self._next_image[camera] = (tick // self._image_gap + 1) * self._image_gap
-        self._jobs.put(lambda: self._release_after(camera, tick, frame, robot))
-
     def _deliver(self) -> None:
         block, self._block = self._block, _Block()
         if block.n:
-            self._put(self._write_block, block)
-
-    def _put(self, job: Callable[..., None], *args: Any, **options: Any) -> None:
-        self._jobs.put(lambda: self._guarded(job, *args, **options))
-
-    def _work(self) -> None:
-        while (job := self._jobs.get()) is not None:
-            try:
-                job()
-            except (OSError, RuntimeError, ValueError) as error:
-                self._cut_off(str(error))
-            except Exception as error:  # kept, and raised by close(): a broken recording must not end the run
-                self._failure = self._failure or error
-
-    def _guarded(self, job: Callable[..., None], *args: Any, **options: Any) -> None:
-        if not (self._failure or self.stopped):
-            job(*args, **options)
+            self._write_block(block)
 
     def _write_block(self, block: _Block) -> None:
         if shutil.disk_usage(self.paths[0].parent).free < self._reserve:
@@ -244,14 +295,8 @@ class Recorder:
         with contextlib.suppress(RepairError):  # not even its beginning is there
             repair(self.paths[-1])
 
-    def _release_after(self, camera: str, tick: int, frame: DepthFrame, robot: RobotImage) -> None:
-        try:
-            self._guarded(self._write_image, camera, tick, frame, robot)
-        finally:  # whatever became of the image: the loop may be waiting for its place
-            self._images.release()
-
-    def _write_image(self, camera: str, tick: int, frame: DepthFrame, robot: RobotImage) -> None:
-        self._writer.image(camera, tick, frame.depth, robot.link)
+    def _write_image(self, image: _Image) -> None:
+        self._writer.image(image.camera, image.tick, image.frame.depth, image.robot.link)
         self.images_kept += 1
 
 

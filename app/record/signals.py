@@ -6,13 +6,16 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hrc.errors import HrcError
 from hrc.messages import Mode, Snapshot
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 Columns = Mapping[str, NDArray[Any]]
 MODES = tuple(Mode)
@@ -130,8 +133,12 @@ class SignalTable:
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Every signal by name, shape (rows,) or (rows, width)."""
-        table = np.concatenate([*self._full, self._block[: self._n]])
-        return {signal.name: _typed(signal, table[:, AT[signal.name]]) for signal in SIGNALS}
+        return typed(np.concatenate([*self._full, self._block[: self._n]]))
+
+
+def typed(rows: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+    """Rows of shape (n, WIDTH) as columns, each in the type of its signal."""
+    return {signal.name: _typed(signal, rows[:, AT[signal.name]]) for signal in SIGNALS}
 
 
 def _typed(signal: Signal, values: NDArray[np.float64]) -> NDArray[Any]:
@@ -152,10 +159,9 @@ def digest(columns: Columns) -> str:
     return total.hexdigest()
 
 
-def write_parquet(path: Path, columns: Columns, about: Mapping[str, Any] | None = None) -> None:
-    """Write the columns; unit and meaning stand in each field's metadata, `about` as JSON in the schema's."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+def arrow(columns: Columns, about: Mapping[str, Any] | None = None) -> "pa.RecordBatch":
+    """The columns for Arrow; unit and meaning stand in each field's metadata, `about` as JSON in the schema's."""
+    import pyarrow as pa  # here and below, because `replay` and the page start without it
 
     arrays, fields = [], []
     for signal in SIGNALS:
@@ -166,8 +172,15 @@ def write_parquet(path: Path, columns: Columns, about: Mapping[str, Any] | None 
         arrays.append(array)
         fields.append(pa.field(signal.name, array.type, nullable=False,
                                metadata={"unit": signal.unit, "meaning": signal.meaning}))
-    schema = pa.schema(fields, metadata={"elbowroom": json.dumps(dict(about or {}))})
-    pq.write_table(pa.Table.from_arrays(arrays, schema=schema), path, compression="zstd")
+    return pa.RecordBatch.from_arrays(arrays, schema=pa.schema(fields, metadata={"elbowroom": json.dumps(dict(about or {}))}))
+
+
+def write_parquet(path: Path, columns: Columns, about: Mapping[str, Any] | None = None) -> None:
+    """Write the columns."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.Table.from_batches([arrow(columns, about)]), path, compression="zstd")
 
 
 def read_parquet(path: Path) -> dict[str, NDArray[Any]]:
@@ -178,6 +191,11 @@ def read_parquet(path: Path) -> dict[str, NDArray[Any]]:
     missing = [signal.name for signal in SIGNALS if signal.name not in table.column_names]
     if missing:
         raise HrcError(f"{path} is no table of signals: it lacks {', '.join(missing)}")
+    return columns_of(table)
+
+
+def columns_of(table: "pa.Table") -> dict[str, NDArray[Any]]:
+    """What `arrow` has made, as columns again, bit for bit."""
     columns: dict[str, NDArray[Any]] = {}
     for signal in SIGNALS:
         column = table[signal.name].combine_chunks()

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from app import palette
 from app.record import blueprint, entities, png
@@ -32,8 +33,8 @@ class SessionWriter:
     """A Rerun recording in a file. Times are ticks of the base rate; `tick_ns` is the length of one."""
 
     def __init__(self, path: Path, *, tick_ns: int, scene: Scene, cameras: Mapping[str, Camera], parameters: Mapping[str, Any],
-                 about: Mapping[str, Any]) -> None:
-        self._tick_ns = tick_ns
+                 about: Mapping[str, Any], footer: bool = True) -> None:
+        self._tick_ns, self._footer = tick_ns, footer
         self._colours = {body.name: entities.bytes_of(body.rgb) for body in scene.bodies}
         self._present: dict[str, bool] = {}
         self._link = -1
@@ -54,7 +55,8 @@ class SessionWriter:
             self._stream.log(entity, rr.StateChange(state=state))
 
     def _open(self, path: Path, tick: int) -> None:
-        self._stream.set_sinks(rr.FileSink(os.fspath(path)), default_blueprint=blueprint.review(tuple(self._cameras)))
+        sink = rr.FileSink(os.fspath(path), write_footer=self._footer)
+        self._stream.set_sinks(sink, default_blueprint=blueprint.review(tuple(self._cameras)))
         self._at(tick)
         self._log_session(self._parameters, self._about)
         self._log_scene(self._scene)
@@ -165,7 +167,7 @@ class SessionWriter:
         self._stream.flush(timeout_sec=60.0)
 
     def close(self) -> None:
-        """Finish the file: its footer makes it open at once."""
+        """Finish the file."""
         self._stream.disconnect()
 
     def _change(self, entity: str, state: str) -> None:
@@ -194,8 +196,9 @@ class SessionWriter:
         self._stream.send_columns(entity, index, columns.partition(there.astype(int)))
 
     def _transforms(self, entity: str, index: list[rr.TimeColumn], T: Poses) -> None:
+        # Quaternions: of matrices the SDK makes an object each.
         columns = rr.Transform3D.columns(translation=T[:, :3, 3].astype(np.float32),
-                                         mat3x3=T[:, :3, :3].astype(np.float32))
+                                         quaternion=Rotation.from_matrix(T[:, :3, :3]).as_quat().astype(np.float32))
         self._stream.send_columns(entity, index, columns)
 
     def _tint(self, ticks: NDArray[np.int64], links: NDArray[np.int64]) -> None:

@@ -109,6 +109,7 @@ class RecordingControls:
         folder = self.archive.folder(self._list.value)
         if not self._local:
             raise HrcError(f"the viewer opens only on the server's own machine, by elbowroom review {folder}; or download it")
+        self._mend(folder.name)
         paths = recordings([folder])
         server = Server(paths, self._reviewed.files if self._reviewed is not None else viewer())
         threading.Thread(target=server.serve_forever, name="review", daemon=True).start()
@@ -121,9 +122,14 @@ class RecordingControls:
 
     def _download(self, event: viser.GuiEvent[Any]) -> None:
         name = self._list.value
+        self._mend(name)
         packed = self.archive.packed(name)
         if event.client is not None:
             event.client.send_file_download(f"{name}.zip", packed, save_immediately=True)
+
+    def _mend(self, name: str) -> None:
+        for line in self.archive.mend(name):
+            self._journal.tell(line)
 
     def _delete(self, _: Any) -> None:
         name = self._list.value

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.spatial.transform import Rotation
 
 rr = pytest.importorskip("rerun")
 
@@ -123,12 +124,12 @@ def test_poses_are_those_of_the_snapshots(session):
     path, _, snapshots, _ = session
     by_tick = {s.tick: s for s in snapshots}
     ticks, places = column(path, "/world/robot/link_5", "Transform3D:translation")
-    _, turns = column(path, "/world/robot/link_5", "Transform3D:mat3x3")
+    _, turns = column(path, "/world/robot/link_5", "Transform3D:quaternion")
     assert len(ticks) == pytest.approx(50 * 2.5, abs=2)
     for tick, place, turn in zip(ticks, places, turns, strict=True):
         T = by_tick[tick].T_world_link[5]
         np.testing.assert_allclose(place[0], T[:3, 3], atol=1e-6)
-        np.testing.assert_allclose(np.reshape(turn[0], (3, 3)).T, T[:3, :3], atol=1e-6)  # columns first
+        np.testing.assert_allclose(Rotation.from_quat(turn[0]).as_matrix(), T[:3, :3], atol=1e-6)
 
 
 def test_lines_and_touches_are_those_of_the_snapshots(session):

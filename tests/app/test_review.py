@@ -83,17 +83,21 @@ def test_what_cannot_be_shown_is_said(folder, tmp_path, capsys, server):
 
 @pytest.mark.browser
 def test_the_viewer_shows_it_and_asks_no_other_host(server, chromium):
-    """ELBOWROOM_SCREENSHOT=docs/review.png keeps what it looks like."""
+    """ELBOWROOM_SCREENSHOT=docs/review.png keeps what it looks like, at a time when the arm is touched."""
     context = chromium.new_context(viewport={"width": 1280, "height": 800})
     tab, asked = context.new_page(), []
     tab.on("request", lambda request: asked.append(request.url))
-    tab.on("console", lambda message: drawn.set() if "wgpu" in message.text else None)
-    drawn = threading.Event()
+    tab.on("console", lambda message: [event.set() for text, event in said.items() if text in message.text])
+    said = {"wgpu": (drawn := threading.Event()), "session.rrd has finished": (loaded := threading.Event())}
     tab.goto(server.url, wait_until="commit")
     deadline = time.monotonic() + 120.0
     while not (drawn.is_set() and any(url.endswith("/0/session.rrd") for url in asked)) and time.monotonic() < deadline:
         tab.wait_for_timeout(200)
     if picture := os.environ.get("ELBOWROOM_SCREENSHOT"):
+        while not loaded.is_set() and time.monotonic() < deadline:
+            tab.wait_for_timeout(200)
+        tab.mouse.click(1030, 786)  # near the end of the time line
+        tab.mouse.move(640, 20)
         tab.wait_for_timeout(15_000)
         tab.screenshot(path=picture, timeout=60_000)
     context.close()

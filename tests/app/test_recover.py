@@ -1,0 +1,134 @@
+"""A session outlives the process that recorded it: what a kill leaves is completed, runs again bit for bit, lacks little."""
+
+import json
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rerun")
+
+from vclient import VClient, until
+
+from app import output
+from app.__main__ import main
+from app.headless import Job, execute
+from app.output import OutputError
+from app.record.folder import SessionError, read
+from app.record.recover import mend, recover
+from app.record.repair import look
+from app.record.signals import read_parquet
+from app.record.spool import ROWS, Spool
+from app.replay import exact
+from hrc.cell import pace, scenario
+from hrc.cell.cell import Cell
+from hrc.cell.run import Inbox, run
+
+ROOT = Path(__file__).parents[2]
+LOST = 0.5
+"""What a kill may cost [s]."""
+
+
+@pytest.mark.live
+def test_a_page_that_is_killed_leaves_a_session_that_runs_again(tmp_path, capsys):
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    command = [sys.executable, "-m", "app", "serve", "--port", str(port), "--scenario", "push", "--recordings", str(tmp_path)]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert str(port) in next(line for line in process.stdout or () if "http://" in line), "it listens"
+            client = VClient(port)
+            until(lambda: client.ready.is_set() and client.banner()["mode"] == "idle" and client.seat(), 120.0)
+            client.set("Images", "full")
+            client.click("Record")
+            until(lambda: 'data-recording="true"' in client.text(), 30.0)
+            client.set("f_relax [N]", 6.0)
+            (folder,) = tmp_path.iterdir()
+            begun = float(client.banner()["time"])
+            until(lambda: float(client.banner()["time"]) > begun + 3.0)
+            with pytest.raises(OutputError, match="still being written"):
+                mend(folder, print)
+            last = float(client.banner()["time"])
+        finally:
+            process.send_signal(signal.SIGKILL)
+    with pytest.raises(SystemExit) as exit_:
+        main(["replay", str(folder), "--exact"])
+    told = capsys.readouterr()
+    assert exit_.value.code == 0, told
+    assert "identical" in told.out
+    assert "was killed" in told.err
+    session = read(folder)
+    assert "SetParameter" in {type(entry.event).__name__ for entry in session.events}
+    missing = last - session.columns["t"][-1]
+    print(f"{missing:.2f} s missing")
+    assert missing <= LOST
+    mend(folder, lambda _: None)
+    assert look(folder / "session.rrd").messages
+    assert json.loads((folder / "metrics.json").read_text())["simulated_s"] == pytest.approx(len(session.columns["t"]) / 200)
+
+
+def test_a_run_that_is_killed_is_completed_under_its_own_name(tmp_path, capsys):
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "app", "run", "push", "--out", str(out), "--depth", "none", "--duration", "600"]
+    rows = output.partial(out) / ROWS
+    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL) as process:
+        deadline = time.monotonic() + 120.0
+        while not (rows.exists() and rows.stat().st_size > 500_000) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        with pytest.raises(OutputError, match="still being written"):
+            execute(Job("push", out, duration=1.0, quiet=True))
+        process.send_signal(signal.SIGKILL)
+    main(["repair", str(out)])
+    assert "was killed" in capsys.readouterr().out
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert {path.name for path in out.iterdir()} == {
+        "session.rrd", "signals.parquet", "metrics.json", "config.json", "events.jsonl"}
+    main(["repair", str(out)])
+    assert "is whole" in capsys.readouterr().out
+    verdict, identical = exact(out)
+    assert identical, verdict
+
+
+@pytest.fixture(scope="module")
+def spooled(tmp_path_factory):
+    """What a process leaves that is killed 1.3 s into the scenario `push`, and the signals until then."""
+    folder, cell = tmp_path_factory.mktemp("spooled"), Cell()
+    spool = Spool(folder, cell.config, {"scenario": "push", "device": "cpu"})
+    run(cell, pace.FreeRun(7), Inbox(scenario.load("push")), [spool], until=1300)
+    spool.close()
+    whole = shutil.copytree(folder, tmp_path_factory.mktemp("whole") / "out")
+    recover(whole, lambda _: None)
+    return folder, read_parquet(whole / "signals.parquet")
+
+
+@pytest.mark.parametrize("share", [1.0, 0.99, 0.7, 0.31])
+def test_torn_anywhere_it_has_the_rows_before(spooled, tmp_path, share):
+    folder, whole = shutil.copytree(spooled[0], tmp_path / "out"), spooled[1]
+    data = (folder / ROWS).read_bytes()
+    (folder / ROWS).write_bytes(data[: int(share * len(data))])
+    with (folder / "events.jsonl").open("a") as events:
+        events.write('{"tick": 1300, "ev')
+    said = []
+    recover(folder, said.append)
+    columns = read_parquet(folder / "signals.parquet")
+    kept = len(columns["tick"])
+    assert len(whole["tick"]) * share - 50 <= kept <= len(whole["tick"]) == 260
+    for name, values in columns.items():
+        assert values.tobytes() == whole[name][:kept].tobytes()
+    assert str(kept) in said[0]
+    assert exact(folder) == (f"identical, 0 differing ticks of {kept}", True)
+    assert not (folder / ROWS).exists()
+
+
+def test_what_was_killed_before_it_began_is_said(spooled, tmp_path):
+    folder = shutil.copytree(spooled[0], tmp_path / "out")
+    (folder / ROWS).write_bytes(b"")
+    with pytest.raises(SessionError, match="before anything"):
+        recover(folder, print)
+    np.testing.assert_equal((folder / "signals.parquet").exists(), False)
