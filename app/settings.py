@@ -39,7 +39,7 @@ def read(file: Path) -> list[tuple[str, Any]]:
 
     Raises ConfigError, with the file, for one that cannot be read, an unknown key or a bad value.
     """
-    settings = list(_flat(toml_file.read(file, "settings", ConfigError)).items())
+    settings = list(flat(toml_file.read(file, "settings", ConfigError)).items())
     try:
         _changed(Config(), settings)
     except ConfigError as error:
@@ -66,7 +66,7 @@ class Found:
 def sift(text: str, config: Config) -> Found:
     """Tell the entries of a settings file apart. Raises ConfigError if it is no TOML."""
     try:
-        table = _flat(tomllib.loads(text))
+        table = flat(tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(str(error)) from None
     present, trouble, wanted = keys(config), [], {}
@@ -113,10 +113,11 @@ def _toml(value: Any) -> str:
     return json.dumps(value) if isinstance(value, str) else repr(value)  # a TOML string takes all escapes of a JSON one
 
 
-def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A table by dotted keys: `control.f_abort = 30`, quoted or not, and a table [control] are the same."""
     out: dict[str, Any] = {}
     for key, value in table.items():
-        out |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+        out |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
     return out
 
 

@@ -140,9 +140,9 @@ def place(link: int, direction: Array, T_world_link: Array, rng: np.random.Gener
     order = np.argsort(-along, kind="stable")
     good = order[:int((along > np.cos(np.radians(CONE))).sum())]
     for tried in (rng.permutation(good)[:TRIED], order[:TRIED], order[::len(order) // (2 * TRIED)]):
-        free = tried[_free(link, p[tried] + ROOM * outward[tried], T_world_link)]
-        if len(free):
-            x, y, z = p[free[0]].tolist()
+        found = tried[free(link, p[tried] + ROOM * outward[tried], T_world_link)]
+        if len(found):
+            x, y, z = p[found[0]].tolist()
             return x, y, z
     raise AssertionError(f"link {link} is covered all over")
 
@@ -152,12 +152,12 @@ def anywhere(link: int, T_world_link: Array, rng: np.random.Generator) -> tuple[
     (3,), in the world."""
     p, outward = samples()[link]
     chosen = rng.choice(len(p), TRIED)
-    i = chosen[_free(link, p[chosen] + ROOM * outward[chosen], T_world_link)][0]
+    i = chosen[free(link, p[chosen] + ROOM * outward[chosen], T_world_link)][0]
     x, y, z = p[i].tolist()
     return (x, y, z), -T_world_link[link, :3, :3] @ outward[i]
 
 
-def _free(link: int, p_link: Array, T_world_link: Array) -> NDArray[np.bool_]:
+def free(link: int, p_link: Array, T_world_link: Array) -> NDArray[np.bool_]:
     """Which points (n, 3) [m], in the link's frame, are at least ROOM from every other link."""
     p = apply(T_world_link[link], p_link)
     free = np.ones(len(p), bool)
@@ -172,16 +172,16 @@ def _outcome(cell: Cell, link: int, force: Vector, delay: float | None, judged: 
     given, said, contacts = [], [], []
     for s in judged:
         J_c = dynamics().terms(s.state.q, s.state.dq).J_contact(link, s.truth.p_world)
-        given.append(_parts(J_c, estimate_force(J_c, s.residual, cell.config.force).F - s.truth.F_world))
+        given.append(parts(J_c, estimate_force(J_c, s.residual, cell.config.force).F - s.truth.F_world))
         if s.contact is not None:
-            said.append(_parts(J_c, s.contact.F_world - s.truth.F_world))
+            said.append(parts(J_c, s.contact.F_world - s.truth.F_world))
             contacts.append((s.contact, s.truth.p_world))
     return Outcome(link, force, delay, _errors(given), _errors(said), len(said) / max(len(judged), 1),
                    _mean([c.link == link for c, _ in contacts]), _mean([c.seen for c, _ in contacts]),
                    float(np.median([_off(c, p) for c, p in contacts])) if contacts else None)
 
 
-def _parts(J_c: Array, error: Array) -> tuple[float, float, float]:
+def parts(J_c: Array, error: Array) -> tuple[float, float, float]:
     """Length of an error of the force (3,) [N], and of its parts in the observable directions and in the others."""
     U, S, _ = np.linalg.svd(J_c, full_matrices=False)
     along, inside = (U.T @ error) ** 2, S > OBSERVABLE
