@@ -15,7 +15,7 @@ Settings = Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], arg(name="set
 SettingsFile = Annotated[Path | None, arg(name="settings", metavar="FILE")]
 
 EXTRAS = {"viser": "page", "websockets": "page", "msgspec": "page", "playwright": "bench", "rerun": "record",
-          "pyarrow": "record", "matplotlib": "record"}
+          "pyarrow": "record", "matplotlib": "record", "mcap": "mcap", "distributed": "campaign"}
 """What may not be installed, and the extra that brings it."""
 
 commands = tyro.extras.SubcommandApp()
@@ -168,16 +168,33 @@ def report(folders: Annotated[Positional[tuple[Path, ...]], arg(metavar="FOLDER"
 
 
 @commands.command
-def repair(file: Annotated[Positional[Path], arg(metavar="FILE.rrd")]) -> None:
-    """Make a recording readable again whose writer was killed: cut off what it had not written to the end.
+def export(folder: Annotated[Positional[Path], arg(metavar="FOLDER")], out: Annotated[Path, arg(metavar="FILE.mcap")]) -> None:
+    """Write a session as an MCAP file, which Foxglove opens: robot, obstacles, contacts, depth images, signals, log.
 
     Args:
-        file: The recording.
+        folder: What `run` has written, or a folder of a recording from the page.
+        out: File to write; it must not exist.
     """
-    from app.record.repair import repair as mend
+    from app.record.mcap_file import export as write
+    from app.replay import opened
 
-    found = mend(file)
-    print(f"{file}: cut {found.torn} of {found.size} bytes" if found.torn else f"{file} is whole; nothing to do")
+    print(f"{out}: {write(opened(folder), out)} messages, {out.stat().st_size / 1e6:.1f} MB")
+
+
+@commands.command
+def repair(path: Annotated[Positional[Path], arg(metavar="FOLDER|FILE.rrd")]) -> None:
+    """Complete a session whose process was killed, and cut off what a recording has that was not written to the end.
+
+    `replay`, `review` and `report` do the same by themselves.
+
+    Args:
+        path: What `run` was to write, a folder of a recording from the page, or a recording alone.
+    """
+    from app.record.recover import mend
+
+    done: list[str] = []
+    mend(path, done.append)
+    print("\n".join(done) or f"{path} is whole; nothing to do")
 
 
 @commands.command
@@ -203,8 +220,8 @@ def compare(scenario: Annotated[Positional[str], arg(metavar="SCENARIO")], out: 
 
 
 @commands.command
-def bench(what: Annotated[Positional[Literal["speed", "accuracy", "contact", "yielding", "web", "record"]],
-                          arg(metavar="speed|accuracy|contact|yielding|web|record")] = "speed",
+def bench(what: Annotated[Positional[Literal["speed", "accuracy", "contact", "yielding", "web", "record", "start"]],
+                          arg(metavar="speed|accuracy|contact|yielding|web|record|start")] = "speed",
           json: Annotated[Path | None, arg(metavar="FILE")] = None, device: str = "cpu",
           quick: FlagCreatePairsOff[bool] = False, hours: float = 0.0, settings_file: SettingsFile = None) -> None:
     """Measure on this machine: the speed of perception beside what one would use instead, its accuracy, or what is felt.
@@ -212,30 +229,46 @@ def bench(what: Annotated[Positional[Literal["speed", "accuracy", "contact", "yi
     Args:
         what: speed, on one core; accuracy, of the contact point and of the filter; contact: force, delay, false alarms;
             yielding: what relaxing is worth; web: what the page costs, and how quick it is, for one and three clients;
-            record: what a recording costs.
+            record: what a recording costs; start: how long it takes to the first page, and to the first motion.
         json: File for all figures with their conditions.
         device: Measured beside the CPU (speed), or used: cpu or cuda:0.
         quick: Few frames or pushes, to see that it works.
         hours: Of free motion with calibrated thresholds (contact); calibrated first if there is no settings file.
         settings_file: TOML file that calibrate wrote (contact).
     """
-    if what == "contact":
-        from app.bench.contact import bench as push
+    from importlib import import_module
 
-        push(device=device, json=json, quick=quick, hours=hours, settings=settings_file)
-        return
-    if what == "accuracy":
-        from app.bench.accuracy import bench as measure
-    elif what == "yielding":
-        from app.bench.yielding import bench as measure
-    elif what == "web":
-        from app.bench.web import bench as measure
-    elif what == "record":
-        from app.bench.record import bench as measure
-    else:
-        from app.bench.speed import bench as measure
+    more = {"hours": hours, "settings": settings_file} if what == "contact" else {}
+    import_module(f"app.bench.{what}").bench(device=device, json=json, quick=quick, **more)
 
-    measure(device=device, json=json, quick=quick)
+
+@commands.command
+def campaign(file: Annotated[Positional[str], arg(metavar="FILE")], out: Path, episodes: int | None = None,
+             workers: int | None = None, address: str | None = None, tls_ca: Path | None = None, tls_cert: Path | None = None,
+             tls_key: Path | None = None, record: int = 0, scaling: FlagCreatePairsOff[bool] = False,
+             overwrite: FlagCreatePairsOff[bool] = False, quiet: FlagCreatePairsOff[bool] = False) -> None:
+    """Play many short episodes over a grid of parameters, here or on a cluster; what is in the folder is not played again.
+
+    Args:
+        file: Name of a campaign, or a TOML file.
+        out: Folder for records, tables and the report; one that was begun goes on from there.
+        episodes: How many at each point of the sweep; the file's own by default.
+        workers: Processes on this machine; one for each core by default.
+        address: Scheduler of a cluster, tcp://host:port or tls://host:port, instead.
+        tls_ca: Certificate that has signed those of the cluster, in PEM.
+        tls_cert: Certificate to show to the cluster.
+        tls_key: Its key.
+        record: Keep so many of the worst episodes as sessions, for replay, review and report.
+        scaling: Measure the rates of one worker and of all, in turns.
+        overwrite: Begin anew in a folder that holds a campaign.
+        quiet: Print neither progress nor table.
+    """
+    from app.campaign.cluster import Cluster
+    from app.campaign.command import Job, execute
+
+    cluster = Cluster(address, workers, tls_ca, tls_cert, tls_key)
+    if execute(Job(file, out, episodes, cluster, record, scaling, overwrite, quiet)):
+        raise SystemExit(130)
 
 
 @commands.command

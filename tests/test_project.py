@@ -32,7 +32,8 @@ def wanted(lock: str) -> list[Requirement]:
     """What pyproject.toml asks of a lock file: what runs, with the extras of `all`, the build backend, and in one the tools."""
     project, groups = PROJECT["project"], PROJECT["dependency-groups"]
     texts = [*PROJECT["build-system"]["requires"], *project["dependencies"], *groups["build"]]
-    texts += [text for name, extra in project["optional-dependencies"].items() if name != "bench" for text in extra]
+    extras = project["optional-dependencies"].items()
+    texts += [text for name, extra in extras if name not in ("bench", "mcap") for text in extra]
     if lock == "requirements-dev.lock":
         texts += [text for text in groups["dev"] if isinstance(text, str)]
     return [requirement for requirement in map(Requirement, texts) if requirement.name != project["name"]]
@@ -50,9 +51,9 @@ def imported(folder: str) -> set[str]:
 
 @pytest.mark.parametrize(("folder", "extras", "groups"), [
     ("hrc", (), ()),
-    ("app", ("page", "record", "bench"), ()),
+    ("app", ("page", "record", "campaign", "mcap", "bench"), ()),
     ("assets", ("page", "record"), ("dev",)),
-    ("tests", ("page", "record"), ("dev",)),
+    ("tests", ("page", "record", "campaign"), ("dev",)),
 ])
 def test_what_is_imported_is_declared(folder: str, extras: tuple[str, ...], groups: tuple[str, ...]) -> None:
     texts = [*PROJECT["project"]["dependencies"]]

@@ -57,6 +57,13 @@ def file(name: str) -> Response:
     return _content(path.read_bytes(), mimetypes.guess_type(path.name)[0] or "application/octet-stream")
 
 
+def health(well: bool) -> Response:
+    """One bit, for who watches over the server."""
+    body = b"ok\n" if well else b""
+    headers = Headers({"Content-Type": "text/plain", "Content-Length": str(len(body)), "Cache-Control": "no-store"})
+    return Response(200, "OK", headers, body) if well else Response(503, "Service Unavailable", headers, body)
+
+
 @functools.cache
 def _index() -> bytes:
     """viser's single-file client with our title, icon, style and script in its head, compressed."""

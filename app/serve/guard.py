@@ -3,8 +3,8 @@
 viser has no hook for any of this, but it builds its server by `websockets.asyncio.server.serve`, and that one has:
 `process_request` sees every request before it is answered, `create_connection` makes the object whose `recv` hands the
 messages over, and `sock` takes a socket bound beforehand (viser would move on to the next port in silence). So `serve`
-is wrapped while viser's constructor runs. Private names of viser are used in this file and in inbound.py only; its
-version is pinned, and tests/app/test_guard.py is the tripwire.
+is wrapped while viser's constructor runs. Private names of viser are used in this file, inbound.py and icons.py only;
+its version is pinned, and tests/app/test_guard.py is the tripwire.
 """
 
 import asyncio
@@ -53,10 +53,12 @@ class Guard:
 
     keys: the tokens. names: host names beside this machine's own under which the page may be asked for, which is a matter
     of DNS rebinding; an IP address needs no permission where there is a token. tls: to serve HTTPS.
-    refused: how many requests and messages were turned away, by reason. seat: who drives.
+    refused: how many requests and messages were turned away, by reason. seat: who drives. healthy: what /healthz tells
+    everybody who reaches the port, and nothing more.
     """
 
-    def __init__(self, keys: Keys | str | None = None, *, names: Iterable[str] = (), tls: ssl.SSLContext | None = None) -> None:
+    def __init__(self, keys: Keys | str | None = None, *, names: Iterable[str] = (), tls: ssl.SSLContext | None = None,
+                 healthy: Callable[[], bool] = lambda: True) -> None:
         self.keys = keys if isinstance(keys, Keys) else Keys(keys)
         self.tls = tls
         self.refused: Counter[str] = Counter()
@@ -65,6 +67,7 @@ class Guard:
         self.rate, self.burst = RATE, BURST
         self._names = LOOPBACK | {name.lower() for name in names}
         self._free: set[str] = set()
+        self._healthy = healthy
 
     def open(self, host: str, port: int | Literal["auto"], label: str) -> viser.ViserServer:
         """Start a guarded viser server; port 0 takes a free one, "auto" 8080 or the next that is free.
@@ -137,6 +140,9 @@ class Guard:
         host = request.headers.get("Host", "")
         if not self._is_ours(hostname(host)):  # a foreign name that resolves here: DNS rebinding
             return self._refuse(connection, http.HTTPStatus.FORBIDDEN, "Host")
+        path = urllib.parse.urlsplit(request.path).path
+        if path == "/healthz":
+            return content.secured(content.health(self.server is not None and self._healthy()), host)
         upgrade = request.headers.get("Upgrade", "").lower() == "websocket"
         origin = request.headers.get("Origin")  # every browser sends it; a tool may not
         if upgrade and origin is not None and urllib.parse.urlsplit(origin).netloc != host:
@@ -152,7 +158,6 @@ class Guard:
         moved = self.keys.keep(request, role, cookie, secure=self.tls is not None)
         if moved is not None:
             return moved
-        path = urllib.parse.urlsplit(request.path).path
         if path.startswith("/app/"):
             response = content.file(path.removeprefix("/app/"))
         elif path in ("/", "/index.html"):
@@ -187,8 +192,8 @@ class ScreenedConnection(ServerConnection):
     async def recv(self, decode: bool | None = None) -> Any:
         """The next acceptable message. Raises ConnectionClosed, as its parent does."""
         guard = self._guard
-        if guard.server is None:  # still under construction: nothing to talk to yet
-            await self._hang_up("not ready")
+        while guard.server is None:  # under construction: nothing to talk to yet
+            await asyncio.sleep(0.01)
         if self._visitor is None:
             await self._enter()
         while True:

@@ -18,6 +18,7 @@ from app.serve.distances import DistanceView
 from app.serve.forces import ForceView
 from app.serve.guard import Guard
 from app.serve.hands import Hands
+from app.serve.icons import opened_once
 from app.serve.journal import Journal
 from app.serve.mailbox import Mailbox
 from app.serve.obstacles import ObstacleControls
@@ -44,6 +45,7 @@ RECORDINGS = Path("recordings")
 class Page:
     """One server, one cell, any number of browsers."""
 
+    @opened_once()
     def __init__(self, scenario: str = "free", access: Access = OWN, *, device: str = "cpu",
                  settings: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), seed: int = 0,
                  say: Callable[[str], None] = print, observers: Sequence[Observer] = (),
@@ -63,7 +65,7 @@ class Page:
                                observers=(archive, *observers))
         config = self.session.check(scenario)
         rig(config)
-        self.guard = Guard(access.keys, names=access.names, tls=access.tls)
+        self.guard = Guard(access.keys, names=access.names, tls=access.tls, healthy=lambda: self.session.healthy)
         self.server = self.guard.open(access.host, access.port, "Elbowroom")
         self.url, self.watch_url = access.urls(self.server.get_port())
         self._scenario = scenario
@@ -121,12 +123,12 @@ def serve(scenario: str = "free", access: Access = OWN, device: str = "cpu",
 
     Raises ScenarioError, ConfigError, AssetError, DeviceError or PageError before anything is served.
     """
+    over = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):  # SIGTERM would be lost on the first process of a container
+        signal.signal(number, lambda *_: over.set())
     print("loading ...", flush=True)
     page = Page(scenario, access, device=device, settings=settings, seed=seed, say=lambda line: print(line, flush=True),
                 recordings=recordings)
-    over = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: over.set())
     print(f"Elbowroom is at {page.url} (Ctrl-C ends it)", flush=True)
     if page.watch_url is not None:
         print(f"to watch only:  {page.watch_url}", flush=True)

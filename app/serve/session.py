@@ -3,6 +3,7 @@
 import queue
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,6 +21,8 @@ from hrc.events import Event, MoveObstacle, Press, Reset, Resume, Stop
 from hrc.messages import Snapshot
 from hrc.parameters import replaced
 
+HANGS, BUILDS = 10.0, 120.0
+"""For how long the cell's thread may give no sign of life: while a cell runs, and while one is built [s]."""
 HOME: dict[str, tuple[float, float, float]] = {
     "ball": (-0.35, 0.55, 0.35), "block": (-0.75, -0.55, 0.30), "slab": (-0.25, -0.60, 0.35)}
 """Where an obstacle is brought in [m]: within reach of the mouse, out of reach of the arm on its path."""
@@ -80,6 +83,7 @@ class Session:
         self._inbox: Inbox | None = None
         self._pacer = RealTime()
         self._leave = threading.Event()
+        self._alive = time.monotonic()
         self._welcome: tuple[Event, ...] = ()
         self._cell: TimedCell | None = None
         self._thread = threading.Thread(target=self._loop, name="cell", daemon=True)
@@ -106,7 +110,7 @@ class Session:
         """Stop stepping and end the thread."""
         self._wanted.put(None)
         self._leave.set()
-        self._thread.join(timeout=10.0)
+        self._thread.join(timeout=5.0)
 
     def put(self, event: Event) -> None:
         """An event for the next step. Raises HrcError while no cell runs.
@@ -162,6 +166,12 @@ class Session:
         """Whether the machine is too slow: steps are dropped, and enough of them to see."""
         return self._pacer.capped and self._pacer.factor < 0.97 * self._pacer.speed
 
+    @property
+    def healthy(self) -> bool:
+        """Whether the cell's thread has come round lately, paused or not, and its cell has not failed."""
+        patience = {Phase.STARTING: BUILDS, Phase.RUNNING: HANGS}.get(self.status.phase, 0.0)
+        return time.monotonic() - self._alive < patience
+
     def stages(self) -> Mapping[str, tuple[float, float]]:
         """Of each stage of the cell the time of one run [s], and its part of a core."""
         return self._cell.stages() if self._cell is not None else {}
@@ -179,6 +189,7 @@ class Session:
 
     def _drive(self, name: str) -> None:
         self._leave.clear()
+        self._alive = time.monotonic()
         if not self._wanted.empty():  # somebody has already chosen again
             return
         self.scenario = name
@@ -197,4 +208,9 @@ class Session:
         self.config, self._pacer, self._inbox = config, pacer, inbox
         self.status = Status(Phase.RUNNING)
         self._say(f'"{name}" is running')
-        run(cell, pacer, inbox, self._observers, until=sys.maxsize, stopped=self._leave.is_set)
+        run(cell, pacer, inbox, self._observers, until=sys.maxsize, stopped=self._stopped)
+
+    def _stopped(self) -> bool:
+        """Asked each time round."""
+        self._alive = time.monotonic()
+        return self._leave.is_set()

@@ -209,18 +209,19 @@ class Localizer:
         self._draw_cover()
         self._draw(T_now)
         self._monitoring.replay()
-        found = [self._cleared(tick, self._frame.tick, w) for w in self._clearance.result()]
-        return tuple(sorted(found, key=lambda c: c.distance))
+        found = self._clearance.result()
+        pixels = np.array([p for w in found for p in (w.robot, w.obstacle)]).reshape(-1, 3)  # all at once: it is 5 % of a cycle
+        places = apply(self.camera.T_world_camera, self.camera.unproject(*pixels.T)).reshape(-1, 2, 3)
+        stamp, apart = self._frame.tick, [float(np.linalg.norm(robot - obstacle)) for robot, obstacle in places]
+        cleared = [Clearance(tick, stamp, w.link, distance, robot, obstacle, self.name)
+                   for w, distance, (robot, obstacle) in zip(found, apart, places, strict=True)]
+        return tuple(sorted(cleared, key=lambda c: c.distance))
 
     def _draw(self, T_world_link: Array) -> None:
         """See to it that the true surface is drawn at these poses, those of the last localize."""
         if self._drawn is not T_world_link:
             self._surface.draw(T_world_link)
             self._drawn = T_world_link
-
-    def _cleared(self, tick: int, stamp: int, w: kernels.Witnesses) -> Clearance:
-        robot, obstacle = (apply(self.camera.T_world_camera, self.camera.unproject(*p)) for p in (w.robot, w.obstacle))
-        return Clearance(tick, stamp, w.link, float(np.linalg.norm(robot - obstacle)), robot, obstacle, self.name)
 
     def _draw_cover(self) -> None:
         """See to it that what removes the robot from the frame is drawn; the filter does each part of it when it is needed."""

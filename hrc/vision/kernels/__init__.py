@@ -11,12 +11,12 @@ from hrc.vision.kernels.distance import Distance
 from hrc.vision.kernels.filtering import Filter
 from hrc.vision.kernels.noise import Noise
 from hrc.vision.kernels.raster import Rasteriser, Surface
-from hrc.vision.kernels.runtime import Graph, check_device, read, upload, warm, write
+from hrc.vision.kernels.runtime import Graph, check_device, read, upload, warm, warm_for_others, write
 from hrc.vision.kernels.touches import Touches
 from hrc.vision.kernels.types import MODULE, NO_LINK, Grid, grid, key_depth, pack, to_image, unpack
 
 __all__ = [
     "MODULE", "NO_LINK", "Chords", "Clearances", "ContactPoints", "Distance", "Filter", "Found", "Graph", "Grid", "Noise",
     "Rasteriser", "Surface", "Touches", "Witnesses", "check_device", "grid", "key_depth", "pack", "read", "to_image",
-    "unpack", "upload", "warm", "write",
+    "unpack", "upload", "warm", "warm_for_others", "write",
 ]

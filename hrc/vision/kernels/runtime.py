@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from hrc.errors import DeviceError, unknown
-from hrc.vision.kernels.types import MODULE, TILE, Grid, to_image
+from hrc.vision.kernels.types import MODULE, TILE, Grid, cpu_flags, cpu_levels, to_image
 
 
 @functools.cache
@@ -55,6 +55,13 @@ def warm(device: str = "cpu") -> None:
     from hrc.vision.kernels import clearance, contact, distance, filtering, noise, raster, touches  # noqa: F401
 
     wp.load_module(MODULE, device=check_device(device))
+
+
+def warm_for_others() -> None:
+    """Compile every kernel for all CPUs of this architecture into the cache, which an image takes to other machines."""
+    for flags in (*cpu_levels(), cpu_flags()):  # what this machine can run is loaded last
+        wp.set_module_options({"cpu_compiler_flags": flags}, module=MODULE)
+        warm()
 
 
 def zeros(n: int, dtype: Any, device: str) -> Any:

@@ -40,21 +40,32 @@ Points = wp.array(dtype=wp.vec3)
 Poses = wp.array(dtype=wp.mat44)
 
 
-def _cpu_flags() -> str:
-    """Warp's default names the very CPU it compiles on; a fixed level keeps the compiled kernels valid elsewhere."""
-    flags = "-mllvm=-inline-threshold=9000 -mllvm=-slp-recursion-max-depth=4"
-    cpuinfo = Path("/proc/cpuinfo")
-    if platform.machine() not in ("x86_64", "AMD64") or not cpuinfo.exists():
-        return flags
+_FLAGS = "-mllvm=-inline-threshold=9000 -mllvm=-slp-recursion-max-depth=4"
+_V4 = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl", "avx2", "bmi2", "fma"}
+
+
+def cpu_levels() -> tuple[str, ...]:
+    """The compiler flags for each level of this architecture's CPUs, the most capable first.
+
+    Warp's default names the very CPU it compiles on; a fixed level keeps the compiled kernels valid elsewhere.
+    """
+    if platform.machine() not in ("x86_64", "AMD64"):
+        return (_FLAGS,)
+    # A tile is 16 wide. Without the last flag of the first level the compiler would use half of a register.
+    return f"{_FLAGS} -target-cpu x86-64-v4 -mprefer-vector-width=512", f"{_FLAGS} -target-cpu x86-64-v3", _FLAGS
+
+
+def cpu_flags() -> str:
+    """Those of the best level that this machine has; of the least where it does not tell."""
+    levels, cpuinfo = cpu_levels(), Path("/proc/cpuinfo")
+    if len(levels) == 1 or not cpuinfo.exists():
+        return levels[-1]
     known = set(cpuinfo.read_text().partition("\nflags")[2].partition("\n")[0].split())
-    if {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl", "avx2", "bmi2", "fma"} <= known:
-        # A tile is 16 wide. Without the second flag the compiler would use half of a register.
-        return flags + " -target-cpu x86-64-v4 -mprefer-vector-width=512"
-    return flags + " -target-cpu x86-64-v3" if "avx2" in known else flags
+    return levels[0] if known >= _V4 else levels[1] if "avx2" in known else levels[2]
 
 
 MODULE = wp.get_module("hrc_vision")
-wp.set_module_options({"enable_backward": False, "max_unroll": 4, "cpu_compiler_flags": _cpu_flags()}, module=MODULE)
+wp.set_module_options({"enable_backward": False, "max_unroll": 4, "cpu_compiler_flags": cpu_flags()}, module=MODULE)
 
 
 @wp.struct
