@@ -62,6 +62,8 @@ USER 10001
 # recordings go here
 WORKDIR /data
 EXPOSE 8080
+# SIGTERM ends the page as well, but as process 1 Python is deaf to it in its first second
+STOPSIGNAL SIGINT
 HEALTHCHECK --interval=10s --timeout=5s --start-period=60s --retries=3 CMD ["python", "-m", "app.health"]
 ENTRYPOINT ["python", "-m", "app"]
 # an address that others reach needs a token: ELBOWROOM_TOKEN, or the one that is printed

@@ -4,7 +4,7 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
@@ -81,13 +81,13 @@ def run(scenario: Annotated[Positional[str], arg(metavar="SCENARIO")], out: Path
         check: Gates that the figures must pass, a TOML file or `paper`; one that does not hold is exit code 1.
     """
     from app import gates
-    from app.headless import Job, execute
+    from app.headless import Job, execute, printed
 
     bounds = gates.load(check) if check is not None else ()
     job = Job(scenario, out, seed, duration, _flat(settings), preset, device, depth, not no_record, overwrite, quiet,
               settings_file)
     figures = execute(job)
-    _print_run(figures, out)
+    print("\n".join(printed(figures, out)))
     if figures["recording_problem"]:
         print(f"elbowroom: {figures['recording_problem']}", file=sys.stderr)
     if figures["interrupted"] or figures["recording_problem"]:
@@ -366,19 +366,6 @@ def parameters(preset: str = "default") -> None:
 
 def _flat(settings: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
     return tuple(setting for group in settings for setting in group)
-
-
-def _print_run(figures: dict[str, Any], out: Path) -> None:
-    sizes = figures["sizes_bytes"]
-    for start, end, mode in figures["states"]:
-        print(f"{start:8.3f} to {end:8.3f} s  {mode}")
-    for reason in figures["refused"]:
-        print(f"refused: {reason}")
-    if figures["interrupted"]:
-        print(f"interrupted after {figures['simulated_s']:.1f} s; the folder holds that part")
-    recording = f", session.rrd {sizes['session.rrd'] / 1e6:.1f} MB" if "session.rrd" in sizes else ""
-    print(f"{out}: {sum(sizes.values()) / 1e6:.1f} MB{recording}; {figures['simulated_s']:.1f} s simulated "
-          f"at {figures['real_time_factor']:.2f} x real time")
 
 
 def main(args: Sequence[str] | None = None) -> None:

@@ -3,7 +3,7 @@
 import platform
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -103,6 +103,20 @@ def execute(job: Job) -> dict[str, Any]:
         figures["sizes_bytes"] = {path.name: path.stat().st_size for path in sorted(folder.iterdir())}
         write_json(folder / METRICS, figures)
     return figures
+
+
+def printed(figures: Mapping[str, Any], out: Path) -> Iterator[str]:
+    """The metrics of a run in lines, for who has waited for it."""
+    sizes = figures["sizes_bytes"]
+    for start, end, mode in figures["states"]:
+        yield f"{start:8.3f} to {end:8.3f} s  {mode}"
+    for reason in figures["refused"]:
+        yield f"refused: {reason}"
+    if figures["interrupted"]:
+        yield f"interrupted after {figures['simulated_s']:.1f} s; the folder holds that part"
+    recording = f", session.rrd {sizes['session.rrd'] / 1e6:.1f} MB" if "session.rrd" in sizes else ""
+    yield (f"{out}: {sum(sizes.values()) / 1e6:.1f} MB{recording}; {figures['simulated_s']:.1f} s simulated "
+           f"at {figures['real_time_factor']:.2f} x real time")
 
 
 def _end(job: Job, script: scenario.Scenario, base_hz: int) -> int:

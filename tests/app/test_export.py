@@ -2,7 +2,9 @@
 
 import base64
 import json
+import re
 from collections import defaultdict
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -52,6 +54,10 @@ def exported(tmp_path_factory):
 
 def test_topics_and_schemas_are_the_ones_that_foxglove_knows(exported):
     _, path, topics = exported
+    section = (Path(__file__).parents[2] / "docs" / "recording.md").read_text().split("## In Foxglove")[1].split("\n## ")[0]
+    rows = re.findall(r"^\| `(/\S*)` \| `(\S+)` \|", section, re.MULTILINE)
+    assert {name.replace("{camera}", "camera"): schema for name, schema in rows} == {
+        name: messages[0][1] for name, messages in topics.items()}
     assert {name: messages[0][1].removeprefix("foxglove.") for name, messages in topics.items()} == {
         "/tf": "FrameTransforms", "/scene": "SceneUpdate", "/obstacles": "SceneUpdate", "/contact": "SceneUpdate",
         "/log": "Log", "/signals": "elbowroom.Signals", "/cameras/camera/depth": "RawImage",

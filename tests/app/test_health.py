@@ -18,6 +18,7 @@ from vclient import VClient, until
 
 from app import health
 from app.record.repair import look
+from app.record.spool import ROWS
 from app.serve import session
 from app.serve.access import Access
 from app.serve.content import SECURITY_HEADERS
@@ -123,8 +124,11 @@ def test_a_page_that_records_closes_the_recording_when_it_is_told_to_stop(
     assert told.endswith("stopping ...\n")
     client.close()
     (folder,) = recordings.iterdir()
-    assert look(folder / "session.rrd").finished
-    assert json.loads((folder / "metrics.json").read_text())["simulated_s"] > 0.5
+    assert not look(folder / "session.rrd").torn
+    assert not (folder / ROWS).exists(), "what a killed process leaves"
+    figures = json.loads((folder / "metrics.json").read_text())
+    assert figures["simulated_s"] > 0.5
+    assert figures["recording_problem"] == ""
 
 
 def test_a_signal_while_the_page_is_loading_is_not_lost(tmp_path: Path) -> None:
