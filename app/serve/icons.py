@@ -13,10 +13,10 @@ from viser import _icons
 @contextlib.contextmanager
 def opened_once() -> Iterator[None]:
     """Within it viser reads its icons from an archive that stays open."""
-    stock = _icons.zipfile
+    stock = _icons.zipfile  # pyright: ignore[reportPrivateImportUsage]
     with zipfile.ZipFile(_icons.ICONS_DIR / "tabler-icons.zip") as archive:
-        _icons.zipfile = SimpleNamespace(ZipFile=lambda _: contextlib.nullcontext(archive))
+        _icons.zipfile = SimpleNamespace(ZipFile=lambda _: contextlib.nullcontext(archive))  # pyright: ignore[reportPrivateImportUsage]
         try:
             yield
         finally:
-            _icons.zipfile = stock
+            _icons.zipfile = stock  # pyright: ignore[reportPrivateImportUsage]
