@@ -42,5 +42,5 @@ def test_a_scene_that_extends_itself_is_an_error(tmp_path):
 
 
 def test_an_unknown_scene_names_those_there_are():
-    with pytest.raises(AssetError, match="there are: cell, two_cameras, two_hands"):
+    with pytest.raises(AssetError, match="there are: cell, shapes, two_cameras, two_hands"):
         load_scene("zoo")

@@ -68,7 +68,7 @@ def decoded(blob):
 
 def chunks(path, entity):
     """(columns by name, timeless or not) of each chunk of an entity."""
-    for chunk in RrdReader(str(path)).store().stream().filter(content=[entity]):
+    for chunk in RrdReader(str(path)).stream().filter(content=[entity]):
         if chunk.entity_path == entity:
             yield chunk.to_record_batch(), chunk.is_static
 
