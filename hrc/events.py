@@ -47,13 +47,15 @@ def _link(value: Any) -> int:
 
 
 class Event:
-    """Parent of all events."""
+    """Parent of all events. Slots: a drag makes twenty events a second, and all are kept for a replay."""
+
+    __slots__ = ()
 
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Pull(Event):
     """Hold a point of a link by a capped spring, as with the mouse; a later Pull moves the spring's other end.
 
@@ -70,7 +72,7 @@ class Pull(Event):
         self._set("target", _vector("target", self.target))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Push(Event):
     """Press on a point of a link with a force fixed in the world [N], until Release.
 
@@ -87,12 +89,12 @@ class Push(Event):
         self._set("force", _vector("force", self.force, 150.0))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Release(Event):
     """Let go of whatever Pull or Push holds."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class MoveObstacle(Event):
     """Bring an obstacle into the scene, or move it: its force-limited drive goes for this pose.
 
@@ -113,7 +115,7 @@ class MoveObstacle(Event):
             self._set("wxyz", wxyz)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class RemoveObstacle(Event):
     """Take an obstacle out of the scene."""
 
@@ -123,7 +125,7 @@ class RemoveObstacle(Event):
         self._set("name", _text("name", self.name))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Press(Event):
     """Choreography: an obstacle approaches a point of a moving link, presses into it, holds, and withdraws.
 
@@ -162,7 +164,7 @@ class Press(Event):
             self._set(name, _scalar(name, getattr(self, name), low, high))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class SetParameter(Event):
     """Change one live parameter, `group.name`, while the cell runs."""
 
@@ -173,7 +175,7 @@ class SetParameter(Event):
         self._set("key", _text("key", self.key))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class SetTask(Event):
     """Exchange the end effector's task while the cell runs: a kind of `task.kind`. The arm goes there without a jump.
 
@@ -186,7 +188,7 @@ class SetTask(Event):
         self._set("kind", _text("kind", self.kind))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class MoveTarget(Event):
     """Where the end effector is to go [m], in the world, in the task "follow"."""
 
@@ -196,7 +198,7 @@ class MoveTarget(Event):
         self._set("position", _vector("position", self.position))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class SetPosture(Event):
     """The desired posture q_d [rad] (7,), which the arm keeps as far as its task leaves it free; it is neared slowly."""
 
@@ -206,7 +208,7 @@ class SetPosture(Event):
         self._set("q", _vector("q", self.q, 2.0 * math.pi, 7))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Stop(Event):
     """Stand still and stay so until Resume. Not a safety function."""
 
@@ -216,12 +218,12 @@ class Stop(Event):
         self._set("reason", _text("reason", self.reason))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Resume(Event):
     """End a Stop; the arm rejoins its path smoothly."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Reset(Event):
     """Put the whole cell back to its start: same config, same seed."""
 

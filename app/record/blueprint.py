@@ -1,11 +1,16 @@
 """The layout in which the viewer opens a session; it is embedded in the recording."""
 
+import tempfile
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 
 import rerun.blueprint as rrb
 
 from app.record import entities
+
+SUFFIX = ".rbl"
+"""Of a file that holds a layout alone."""
 
 
 def review(cameras: Sequence[str], *, replayed: bool = False) -> rrb.Blueprint:
@@ -40,6 +45,14 @@ def review(cameras: Sequence[str], *, replayed: bool = False) -> rrb.Blueprint:
         rrb.Horizontal(left, right, column_shares=[1.25, 1]),
         rrb.TimePanel(state="collapsed", timeline="sim_time"), rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"))
+
+
+def saved(layout: rrb.Blueprint, application: str) -> bytes:
+    """The layout as a file."""
+    with tempfile.TemporaryDirectory(prefix="elbowroom-layout-") as folder:
+        path = Path(folder) / f"layout{SUFFIX}"
+        layout.save(application, str(path))
+        return path.read_bytes()
 
 
 def _image(name: str, camera: str, entity: str) -> rrb.Spatial2DView:

@@ -26,7 +26,7 @@ class SessionError(HrcError):
     """A folder is not that of a run, or of another version."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Entry:
     """An event before the step that followed `tick`. refused: why it was not taken, if so.
 

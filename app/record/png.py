@@ -1,16 +1,18 @@
 """Depth images as 16-bit PNG: lossless, and read by every viewer.
 
-A level-1 PNG with the Sub filter packs a noisy depth image into about a third of its size in 4 ms; a general encoder,
-which tries all filters on every row, takes more than twice as long. zlib gives up the interpreter lock meanwhile.
+The Sub filter and the lowest level but one of ISA-L pack a noisy depth image into about a third of its size in 1 ms; zlib
+takes 3 ms for the same size, a general encoder, which tries all filters on every row, 9 ms. The interpreter's lock is free
+meanwhile.
 """
 
 import struct
 import zlib
 
 import numpy as np
+from isal import isal_zlib
 from numpy.typing import NDArray
 
-_SUB = 1
+_SUB, _LEVEL = 1, 1
 
 
 def millimetres(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
@@ -29,7 +31,7 @@ def encode(image: NDArray[np.uint16]) -> bytes:
     np.subtract(data[:, 2:], data[:, :-2], out=rows[:, 3:])
     header = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + b"".join([
-        _chunk(b"IHDR", header), _chunk(b"IDAT", zlib.compress(rows.tobytes(), 1)), _chunk(b"IEND", b"")])
+        _chunk(b"IHDR", header), _chunk(b"IDAT", isal_zlib.compress(rows, _LEVEL)), _chunk(b"IEND", b"")])
 
 
 def decode(data: bytes) -> NDArray[np.uint16]:
@@ -39,7 +41,7 @@ def decode(data: bytes) -> NDArray[np.uint16]:
         length, kind = struct.unpack_from(">I4s", data, at)
         parts[kind], at = data[at + 8 : at + 8 + length], at + 12 + length
     width, height, bits, colour, *_ = struct.unpack(">IIBBBBB", parts.get(b"IHDR", bytes(13)))
-    rows = np.frombuffer(zlib.decompress(parts.get(b"IDAT", zlib.compress(b""))), np.uint8)
+    rows = np.frombuffer(isal_zlib.decompress(parts.get(b"IDAT", zlib.compress(b""))), np.uint8)
     if (bits, colour) != (16, 0) or rows.size != height * (1 + 2 * width) or (rows[:: 1 + 2 * width] != _SUB).any():
         raise ValueError("no 16-bit greyscale PNG with one data chunk and the Sub filter")
     differences = rows.reshape(height, 1 + 2 * width)[:, 1:].reshape(height, width, 2)

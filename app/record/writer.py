@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from app import palette
-from app.record import blueprint, entities, png
+from app.record import blueprint, columns, entities, png
 from app.record.signals import AT, SIGNALS
 from hrc import meshes
 from hrc.messages import LINKS, Body, Clearance, Mode, Nearest
@@ -46,17 +46,25 @@ class SessionWriter:
         self._stream = rr.RecordingStream(APPLICATION, batcher_config=batching)
         self._stream.set_log_time_enabled(False)
         self._about, self._parameters, self._scene, self._cameras = about, parameters, scene, cameras
-        self._open(path, 0)
+        self._layout = blueprint.review(tuple(cameras))
+        self._laid_out = b""
+        self._stream.set_sinks(self._sink(path), default_blueprint=self._layout)
+        self._begin(0)
 
     def turn_over(self, path: Path, tick: int) -> None:
         """Finish the file, and go on in another that can be looked at alone, or together with the others."""
-        self._open(path, tick)
+        self._stream.set_sinks(self._sink(path))
+        # As a file that was made once: of each blueprint that it is handed the SDK keeps 3 MB for good.
+        self._laid_out = self._laid_out or blueprint.saved(self._layout, APPLICATION)
+        self._stream.log_file_from_contents(f"layout{blueprint.SUFFIX}", self._laid_out)
+        self._begin(tick)
         for entity, state in self._state.items():
             self._stream.log(entity, rr.StateChange(state=state))
 
-    def _open(self, path: Path, tick: int) -> None:
-        sink = rr.FileSink(os.fspath(path), write_footer=self._footer)
-        self._stream.set_sinks(sink, default_blueprint=blueprint.review(tuple(self._cameras)))
+    def _sink(self, path: Path) -> rr.FileSink:
+        return rr.FileSink(os.fspath(path), write_footer=self._footer)
+
+    def _begin(self, tick: int) -> None:
         self._at(tick)
         self._log_session(self._parameters, self._about)
         self._log_scene(self._scene)
@@ -75,15 +83,15 @@ class SessionWriter:
         """
         ticks = rows[:, AT["tick"]][:, 0].astype(np.int64)
         index = self._index(ticks)
-        for signal in PLOTTED:
-            values = np.array(rows[:, AT[signal.name]])
-            values[np.isinf(values)] = np.nan  # a curve has a gap where there is nothing
-            self._stream.send_columns(f"{entities.SIGNALS}/{signal.name}", index, rr.Scalars.columns(scalars=values))
-        force = force_curves(rows[:, AT["force_est"]], rows[:, AT["force_true"]], self._now)
+        curves = {f"{entities.SIGNALS}/{signal.name}": rows[:, AT[signal.name]] for signal in PLOTTED}
         ratio = np.abs(rows[:, AT["residual"]]) / np.asarray(self._now["observer.r_low"])
-        for entity, curves in ((entities.FORCE_PLOT, force), (entities.PERIOD_PLOT, 1e3 * periods[:, None]),
-                               (entities.RESIDUAL_PLOT, np.column_stack([ratio, np.ones(len(ratio))]))):
-            self._stream.send_columns(entity, index, rr.Scalars.columns(scalars=np.ascontiguousarray(curves)))
+        curves |= {
+            entities.FORCE_PLOT: force_curves(rows[:, AT["force_est"]], rows[:, AT["force_true"]], self._now),
+            entities.PERIOD_PLOT: 1e3 * periods, entities.RESIDUAL_PLOT: np.column_stack([ratio, np.ones(len(ratio))])}
+        # A curve has a gap where there is nothing.
+        finite = [np.where(np.isinf(values), np.nan, values) for values in curves.values()]
+        for entity, column in zip(curves, columns.scalars(finite), strict=True):
+            self._stream.send_columns(entity, index, [column])
         self._point(entities.REFERENCE, index, rows[:, AT["ee_desired"]])
         for name, point, force in (("est", entities.POINT_EST, entities.FORCE_EST),
                                    ("true", entities.POINT_TRUE, entities.FORCE_TRUE)):
@@ -97,8 +105,7 @@ class SessionWriter:
         """Robot, nearest point and pull at some ticks: T_world_link (8, 4, 4) each, points (3,) [m] or None."""
         index = self._index(np.array(ticks, np.int64))
         T = np.array(T_world_link)
-        for link, name in enumerate(LINKS):
-            self._transforms(f"{entities.ROBOT}/{name}", index, T[:, link])
+        self._transforms({f"{entities.ROBOT}/{name}": (index, T[:, link]) for link, name in enumerate(LINKS)})
         self._point(entities.NEAREST, index, np.array([np.full(3, np.nan) if p is None else p for p in nearest]))
         held = np.array([pull is not None for pull in pulls])
         strips = [np.array(pull, np.float32) for pull in pulls if pull is not None]
@@ -111,13 +118,13 @@ class SessionWriter:
         index = self._index(np.array(ticks, np.int64))
         every = [c for some in clearances for c in some]
         strips = np.array([(c.p_robot, c.p_obstacle) for c in every], np.float32).reshape(-1, 2, 3)
-        columns = rr.LineStrips3D.columns(strips=list(strips), colors=palette.by_distance([c.distance for c in every]))
-        self._stream.send_columns(entities.DISTANCES, index, columns.partition([len(some) for some in clearances]))
+        lines = rr.LineStrips3D.columns(strips=list(strips), colors=palette.by_distance([c.distance for c in every]))
+        self._stream.send_columns(entities.DISTANCES, index, lines.partition([len(some) for some in clearances]))
         found = [touch for some in touches for touch in some]
         points = np.array([touch.p_world for touch in found], np.float32).reshape(-1, 3)
         colours = np.array([palette.TOUCH if touch.sure else palette.UNSURE for touch in found], np.uint8).reshape(-1, 3)
-        columns = rr.Points3D.columns(positions=points, colors=colours)
-        self._stream.send_columns(entities.TOUCHES, index, columns.partition([len(some) for some in touches]))
+        balls = rr.Points3D.columns(positions=points, colors=colours)
+        self._stream.send_columns(entities.TOUCHES, index, balls.partition([len(some) for some in touches]))
 
     def bodies(self, ticks: Sequence[int], bodies: Sequence[tuple[Body, ...]]) -> None:
         """Obstacles at the same ticks; one that comes or goes is drawn or cleared."""
@@ -125,10 +132,12 @@ class SessionWriter:
         for tick, some in zip(ticks, bodies, strict=True):
             for body in some:
                 seen.setdefault(body.name, []).append((tick, body))
+        self._transforms({
+            f"{entities.OBSTACLES}/{name}": (self._index(np.array([tick for tick, _ in track], np.int64)),
+                                             np.array([body.T_world_body for _, body in track]))
+            for name, track in seen.items()})
         for name, track in seen.items():
             entity = f"{entities.OBSTACLES}/{name}"
-            self._transforms(entity, self._index(np.array([tick for tick, _ in track], np.int64)),
-                             np.array([body.T_world_body for _, body in track]))
             for tick, body in track:
                 if self._present.get(name) is not body.present:
                     self._present[name], self._shown[name] = body.present, body
@@ -184,22 +193,26 @@ class SessionWriter:
                 rr.TimeColumn("step", sequence=ticks.copy())]
 
     def _point(self, entity: str, index: list[rr.TimeColumn], points: Poses) -> None:
-        there = np.isfinite(points).all(axis=1)  # an empty row clears what was drawn before
-        columns = rr.Points3D.columns(positions=points[there].astype(np.float32))
-        self._stream.send_columns(entity, index, columns.partition(there.astype(int)))
+        points_there = columns.vectors(rr.Points3D.descriptor_positions(), points, _finite(points))
+        self._stream.send_columns(entity, index, [points_there])
 
     def _arrow(self, entity: str, index: list[rr.TimeColumn], points: Poses, forces: Poses) -> None:
-        there = np.isfinite(points).all(axis=1) & np.isfinite(forces).all(axis=1)
-        vectors = (forces[there] * entities.METRES_PER_NEWTON).astype(np.float32)
-        origins = points[there].astype(np.float32) - vectors  # the tip touches the robot
-        columns = rr.Arrows3D.columns(origins=origins, vectors=vectors)
-        self._stream.send_columns(entity, index, columns.partition(there.astype(int)))
+        there = _finite(np.concatenate([points, forces], axis=1))
+        vectors = forces * entities.METRES_PER_NEWTON
+        self._stream.send_columns(entity, index, [
+            columns.vectors(rr.Arrows3D.descriptor_vectors(), vectors, there),
+            columns.vectors(rr.Arrows3D.descriptor_origins(), points - vectors, there)])  # the tip touches the robot
 
-    def _transforms(self, entity: str, index: list[rr.TimeColumn], T: Poses) -> None:
+    def _transforms(self, tracks: Mapping[str, tuple[list[rr.TimeColumn], Poses]]) -> None:
+        if not tracks:
+            return
+        T = np.concatenate([poses for _, poses in tracks.values()])
+        ends = np.cumsum([len(poses) for _, poses in tracks.values()])[:-1]
         # Quaternions: of matrices the SDK makes an object each.
-        columns = rr.Transform3D.columns(translation=T[:, :3, 3].astype(np.float32),
-                                         quaternion=Rotation.from_matrix(T[:, :3, :3]).as_quat().astype(np.float32))
-        self._stream.send_columns(entity, index, columns)
+        positions, turns = np.split(T[:, :3, 3], ends), np.split(Rotation.from_matrix(T[:, :3, :3]).as_quat(), ends)
+        made = columns.transforms(list(zip(positions, turns, strict=True)))
+        for (entity, (index, _)), pair in zip(tracks.items(), made, strict=True):
+            self._stream.send_columns(entity, index, pair)
 
     def _tint(self, ticks: NDArray[np.int64], links: NDArray[np.int64]) -> None:
         for tick, link in zip(ticks.tolist(), links.tolist(), strict=True):
@@ -285,6 +298,11 @@ class SessionWriter:
 
     def _log_static(self, entity: str, archetype: Any) -> None:
         self._stream.log(entity, archetype, static=True)
+
+
+def _finite(rows: Poses) -> NDArray[np.bool_]:
+    """Which rows are drawn: an empty one clears what was drawn before."""
+    return np.logical_and.reduce(np.isfinite(rows), axis=1)
 
 
 def states(colours: Mapping[str, palette.Colour]) -> rr.StateConfiguration:

@@ -2,12 +2,11 @@
 
 from collections.abc import Sequence
 
-import numpy as np
 import viser
 
 from app import palette
 from app.palette import Colour
-from app.serve import pictures
+from app.serve import jpeg, pictures
 from app.serve.pictures import Picture, Pictures
 from hrc.cell.eyes import CameraSetup
 from hrc.geometry import apply
@@ -16,7 +15,6 @@ from hrc.vision.camera import Camera
 
 MEASURED, EXPECTED, REMAINING = "Depth image", "Robot as expected", "What is left"
 CONTACT: Colour = (255, 59, 48)
-QUALITY = 80
 NO_CAMERA: Sequence[str] = ("",)
 INNER, OUTER = 0.045, 0.065
 """Radii of the rings around a touch and around the contact, over the side of the picture."""
@@ -33,8 +31,9 @@ class CameraImages:
         self._pictures: dict[str, Pictures] = {}
         self._choice = server.gui.add_dropdown("Camera", NO_CAMERA, visible=False, hint="Whose images are shown below")
         blank = Pictures(Camera()).blank
-        self._images = {name: server.gui.add_image(blank, label=name, format="jpeg", jpeg_quality=QUALITY)
-                        for name in (MEASURED, EXPECTED, REMAINING)}
+        names = MEASURED, EXPECTED, REMAINING
+        self._images = {name: server.gui.add_image(blank, label=name, format="jpeg") for name in names}
+        self._sent = dict.fromkeys(self._images, blank.tobytes())
         self._key = server.gui.add_html(_legend())
         self._drawn: object = None
         self._shown = True
@@ -71,9 +70,9 @@ class CameraImages:
         state = "" if view.frame is not None else ": none yet"
         self._images[MEASURED].label = MEASURED + (": SILENT" if view.silent else state)
         for name, picture in draw(view, self._pictures[view.camera], marks).items():
-            handle = self._images[name]
-            if not np.array_equal(handle.image, picture):
-                handle.image = picture
+            if (sent := picture.tobytes()) != self._sent[name]:
+                self._sent[name] = sent
+                jpeg.show(self._images[name], picture)
 
 
 def contacts(snapshot: Snapshot, name: str, camera: Camera) -> tuple[Mark, ...]:

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import signal
+import sys
 import threading
 import webbrowser
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -40,6 +41,10 @@ from hrc.vision.kernels import check_device
 
 OWN = Access()
 RECORDINGS = Path("recordings")
+SWITCH = 0.0005
+"""For how long a thread may keep the interpreter to itself [s]. The cell gives it up some times in each tick of 1 ms, for
+MuJoCo and for each kernel, and would wait ten times as long by default until whoever took it meanwhile gives it back.
+"""
 
 
 class Page:
@@ -96,6 +101,7 @@ class Page:
 
     def start(self) -> None:
         """Publish, and start the cell; returns at once."""
+        sys.setswitchinterval(SWITCH)
         self._publisher.start()
         self.session.start(self._scenario)
 

@@ -34,8 +34,8 @@ from hrc.parameters import replaced
 from hrc.scene import load_scene
 
 POSE_HZ = 30
-CLOUD_EVERY, IMAGE_EVERY, PANEL_EVERY, NUMBERS_EVERY, TRAIL_EVERY = 2, 2, 3, 6, 6
-"""In beats of POSE_HZ: cloud and camera images 15 Hz, banner and plot 10 Hz, numbers and tool path 5 Hz."""
+CLOUD_EVERY, IMAGE_EVERY, PANEL_EVERY, NUMBERS_EVERY, TRAIL_EVERY = 2, 3, 3, 6, 6
+"""In beats of POSE_HZ: cloud 15 Hz, camera images, banner and plot 10 Hz, numbers and tool path 5 Hz."""
 
 
 @dataclass
@@ -82,7 +82,8 @@ class Publisher:
             due = max(due + 1.0 / POSE_HZ, time.monotonic())
             beat += 1
             try:
-                self._publish(beat)
+                with self._server.atomic():  # one frame for each browser, and one wake-up of the sockets' thread
+                    self._publish(beat)
             except Exception:  # one frame that cannot be drawn must not end the page
                 traceback.print_exc(file=sys.stderr)
                 self._closing.wait(1.0)

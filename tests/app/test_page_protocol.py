@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import viser
 from PIL import Image
 from vclient import VClient, until
 
+from app.serve import jpeg
 from app.serve.access import Access
 from app.serve.main import Page
 from hrc.config import Config
@@ -196,15 +198,14 @@ def test_an_image_that_has_not_changed_is_not_sent_again(raw: VClient) -> None:
 
 
 def test_nothing_is_encoded_while_nobody_watches(served: Page, raw: VClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    from viser._scene_api import _encode_image_binary as stock
-
     encoded: list[object] = []
+    stock = jpeg.show
 
-    def counted(image: np.ndarray, *args: Any, **options: Any) -> Any:
-        encoded.append(image)
-        return stock(image, *args, **options)
+    def counted(widget: viser.GuiImageHandle, picture: np.ndarray) -> None:
+        encoded.append(picture)
+        stock(widget, picture)
 
-    monkeypatch.setattr("viser._gui_handles._encode_image_binary", counted)
+    monkeypatch.setattr(jpeg, "show", counted)
     until(lambda: len(encoded) > 5)
     raw.set("Camera images", False)
     until(lambda: not raw.gui[raw.widget("Depth image")]["props"]["visible"])

@@ -36,6 +36,7 @@ def test_a_long_recording_goes_on_in_another_file_and_loses_nothing(tmp_path):
     from rerun.chunk import RrdReader
 
     assert len({RrdReader(str(path)).recordings()[0].recording_id for path in recorder.paths}) == 1
+    assert all(RrdReader(str(path)).blueprints() for path in recorder.paths), "each opens in the same layout"
     last = recorder.paths[2]
     assert column(last, "/state/mode", "StateChange:state")[1][0] in (["idle"], ["relax"]), "known from its start"
     assert column(last, "/world/obstacles/ball", "Ellipsoids3D:half_sizes")[1][0] != [], "there from its start"
