@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrc.cell.cell import Cell
-from hrc.cell.eyes import CameraSetup, Eyes, simulated
+from hrc.cell.eyes import CameraSetup, Eyes, Sensor, simulated
+from hrc.cell.foresight import Ahead, ForeseenCamera
 from hrc.config import Config
 from hrc.errors import SensorError
 from hrc.events import Event, MoveTarget, Reset, Resume, SetParameter, SetPosture, SetTask, Stop
@@ -60,6 +61,7 @@ class PlayedCell(Cell):
         self._tape, self._fixed, self._images = tape, frozenset(fixed), images
         self._stops = {tick + late for tick in stops for late in (0, 1)}  # the step after an event may have its effect
         self._steps = self._cycles = 0
+        self._ahead = Ahead()
         super().__init__(config, device)
 
     def apply(self, event: Event) -> None:
@@ -110,12 +112,19 @@ class PlayedCell(Cell):
         return Truth(tape.forces[i], tape.points[i], int(tape.links[i]), np.zeros(7), bool(tape.visible[i]))
 
     def _build(self) -> None:
+        self._ahead.wait()
         self._issued = np.zeros(7)
         super()._build()
 
     def _open_eyes(self, config: Config) -> Eyes:
+        def foreseen(setup: CameraSetup, scene: Scene, seed: int, device: str) -> Sensor:
+            camera = simulated(setup, scene, seed, device)
+            if device != "cpu":  # there the host has little to do with it
+                return camera
+            return ForeseenCamera(camera, self._tape.exposed, lambda: self._steps - 1, self._ahead)
+
         if (images := self._images) is None:
-            return Eyes(self.scene, config, self.device, simulated, images=False)
+            return Eyes(self.scene, config, self.device, foreseen, images=False)
 
         def recorded(setup: CameraSetup, _scene: Scene, _seed: int, _device: str) -> RecordedCamera:
             return RecordedCamera(setup, images, lambda: self._steps)

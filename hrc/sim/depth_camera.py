@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from hrc import meshes
 from hrc.errors import SensorError, unknown
@@ -90,6 +90,13 @@ class DepthCamera:
 
         Raises SensorError for a body that was not given at construction.
         """
+        return self.keep(tick, self.render(self._count, T_world_link, bodies))
+
+    def render(self, number: int, T_world_link: Array, bodies: Sequence[Body]) -> NDArray[np.float32]:
+        """The image [m] (H, W) of the frame with this number, counted from 0, which decides on its noise.
+
+        Raises SensorError for a body that was not given at construction.
+        """
         T_world_mesh = np.zeros((len(LINKS) + len(self._slot), 4, 4))  # zeros: not drawn
         T_world_mesh[: len(LINKS)] = T_world_link
         for body in bodies:
@@ -98,13 +105,18 @@ class DepthCamera:
             if body.present:
                 T_world_mesh[self._slot[body.name]] = body.T_world_body
         self._raster.place(self.true_camera.T_camera_world @ T_world_mesh)
-        self._noise.draw(self._seed, self._count)
+        self._noise.draw(self._seed, number)
         self._graph.replay()
+        return self._noise.image()
+
+    def keep(self, tick: int, image: NDArray[np.float32]) -> bool:
+        """Count a rendered image as taken at this tick; whether it will come."""
         self._count += 1
         if self.config.unplugged:
             self._queue.clear()
             return False
-        image = self._queue[-1].depth if self.config.frozen and self._queue else self._noise.image()
+        if self.config.frozen and self._queue:
+            image = self._queue[-1].depth
         self._queue.append(DepthFrame(tick, image))
         while len(self._queue) > self._latency + 2:
             self._queue.popleft()

@@ -41,7 +41,7 @@ def never(real):
 def test_from_either_depth_it_gives_every_bit_and_moves_no_robot(folder, depth, monkeypatch):
     monkeypatch.setattr(SimulatedRobot, "step", never(SimulatedRobot.step))
     if depth == "recorded":
-        monkeypatch.setattr(DepthCamera, "expose", never(DepthCamera.expose))
+        monkeypatch.setattr(DepthCamera, "keep", never(DepthCamera.keep))
     replay = execute(Job(folder, depth=depth))
     assert (replay.columns["state"] == Mode.RELAX).any()
     assert replay.changed is None
@@ -68,9 +68,10 @@ def test_without_a_tape_the_session_runs_again_first(folder, tmp_path):
     assert execute(Job(copy)).changed is None
 
 
-def test_each_camera_gets_its_own_images(tmp_path):
+@pytest.mark.parametrize("depth", ["rendered", "recorded"])
+def test_each_camera_gets_its_own_images(depth, tmp_path):
     run(Run("free", tmp_path / "out", duration=0.5, preset="two_cameras", depth="full", quiet=True))
-    assert execute(Job(tmp_path / "out", depth="recorded")).changed is None
+    assert execute(Job(tmp_path / "out", depth=depth)).changed is None
 
 
 def test_images_that_were_not_kept_are_said_to_be_missing(tmp_path, capsys):
