@@ -26,7 +26,7 @@ def serve(scenario: str = "free", host: str = "127.0.0.1", port: int | Literal["
           settings: Settings = (), settings_file: SettingsFile = None, seed: int = 0,
           open_browser: FlagCreatePairsOff[bool] = False, token: str | None = None, view_token: str | None = None,
           allow_host: UseAppendAction[tuple[str, ...]] = (), tls_cert: Path | None = None,
-          tls_key: Path | None = None, recordings: Path = Path("recordings")) -> None:
+          tls_key: Path | None = None, recordings: Path = Path("recordings"), results: Path | None = None) -> None:
     """Open the cell in the browser: push the arm, drag obstacles into it (the command without a name does this).
 
     Args:
@@ -45,6 +45,7 @@ def serve(scenario: str = "free", host: str = "127.0.0.1", port: int | Literal["
         tls_cert: Certificate in PEM, to serve HTTPS.
         tls_key: Its key in PEM, unencrypted.
         recordings: Folder for what is recorded from the page; made with the first.
+        results: Folder of a campaign, whose metrics the page can then show on the robot.
     """
     from app.serve.access import Access
     from app.serve.main import serve as start
@@ -52,8 +53,8 @@ def serve(scenario: str = "free", host: str = "127.0.0.1", port: int | Literal["
 
     access = Access.of(host, port, token=token, view_token=view_token, names=allow_host, tls_cert=tls_cert, tls_key=tls_key)
     changes = [*(read(settings_file) if settings_file else ()), *map(parse, _flat(settings))]
-    start(scenario, access, device=device, settings=changes, seed=seed, open_browser=open_browser,
-          recordings=recordings)
+    start(scenario, access, device=device, settings=changes, seed=seed, open_browser=open_browser, recordings=recordings,
+          results=results)
 
 
 @commands.command

@@ -88,11 +88,10 @@ def _mesh(fields: Sequence[Field], T_world_link: Array) -> dict[str, Any]:
     vertices = np.concatenate([apply(T, part.vertices) for T, part in zip(T_world_link, parts, strict=True)])
     normals = np.concatenate([part.normals @ T[:3, :3].T for T, part in zip(T_world_link, parts, strict=True)])
     rgb = [np.concatenate([surface.colours(v, field.scale) for v in field.values]) for field in fields]
-    ramp = surface.colormap()(np.linspace(0.0, 1.0, 9))[:, :3]
     return {
         "vertices": _packed(vertices, "<f4"), "normals": _packed(127.0 * normals, "i1"),
         "faces": _packed(np.concatenate(faces), "<u2"), "middle": surface.LOOK_AT,
-        "ramp": ["#" + "".join(f"{round(255 * c):02x}" for c in colour) for colour in ramp],
+        "ramp": surface.ramp(),
         "fields": [{"name": f.metric, "unit": METRICS[f.metric].unit.replace("bool", "share"), "scale": f.scale,
                     "colours": _packed(255.0 * c, "u1")} for f, c in zip(fields, rgb, strict=True)]}
 

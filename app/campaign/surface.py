@@ -73,6 +73,11 @@ def colormap() -> Any:
     return ListedColormap(colormaps["turbo"](np.linspace(0.08, 0.95, 256)))
 
 
+def ramp() -> list[str]:
+    """Nine of its colours, from little to much, as a page writes them."""
+    return ["#" + "".join(f"{round(255 * c):02x}" for c in colour) for colour in colormap()(np.linspace(0.0, 1.0, 9))[:, :3]]
+
+
 def colours(values: Array, scale: tuple[float, float]) -> Array:
     """RGB (n, 3) in 0..1; PLAIN where nothing is known."""
     share = np.clip((values - scale[0]) / (scale[1] - scale[0]), 0.0, 1.0)

@@ -26,6 +26,7 @@ from app.serve.obstacles import ObstacleControls
 from app.serve.panel import Panel
 from app.serve.publisher import Publisher, Screen
 from app.serve.recordings import RecordingControls
+from app.serve.results import ResultsView, read
 from app.serve.scene import SceneView
 from app.serve.seat_box import SeatBox
 from app.serve.selection import Selection
@@ -54,15 +55,16 @@ class Page:
     def __init__(self, scenario: str = "free", access: Access = OWN, *, device: str = "cpu",
                  settings: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), seed: int = 0,
                  say: Callable[[str], None] = print, observers: Sequence[Observer] = (),
-                 recordings: Path = RECORDINGS) -> None:
+                 recordings: Path = RECORDINGS, results: Path | None = None) -> None:
         """Bind the port and build the page; the cell starts with `start`.
 
         access: where it is served, and to whom; by default to this machine. observers: see every snapshot.
-        recordings: folder for what is recorded, made with the first.
-        Raises ScenarioError, ConfigError, AssetError or DeviceError for what cannot be run, and PageError for an address
-        that cannot be served.
+        recordings: folder for what is recorded, made with the first. results: folder of a campaign, shown on the robot.
+        Raises ScenarioError, ConfigError, AssetError or DeviceError for what cannot be run, PageError for an address that
+        cannot be served, and HrcError for results that are none.
         """
         check_device(device)
+        fields = read(results) if results is not None else []
         mailbox = Mailbox()
         self.journal = Journal(lambda: mailbox.latest.time if mailbox.latest is not None else 0.0)
         archive = Archive(recordings, device)
@@ -89,7 +91,8 @@ class Page:
             "Camera images": _switch(signals.images, "show_images"), "Path of the tool": _switch(view, "show_trail")}
         panel = Panel(self.server, self.session, scenarios=tuple(listed), scenario=scenario, config=config, look=view.look,
                       layers=layers, obstacles=obstacles, steering=steering, tuning=tuning, demo=demo,
-                      theme=theme, recordings=self.recordings, journal=self.journal)
+                      theme=theme, recordings=self.recordings, journal=self.journal,
+                      results=ResultsView(self.server, view, fields) if fields else None)
         self._hands = Hands(self.server, self.session, view, self.journal.refuse)
         self.guard.free(*panel.for_all)
         self.guard.seat.on_left(self._hands.let_go_of)
@@ -122,19 +125,20 @@ def _switch(part: object, name: str) -> Callable[[bool], None]:
 
 def serve(scenario: str = "free", access: Access = OWN, device: str = "cpu",
           settings: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), seed: int = 0, open_browser: bool = False,
-          recordings: Path = RECORDINGS) -> None:
+          recordings: Path = RECORDINGS, results: Path | None = None) -> None:
     """Serve the page until Ctrl-C or SIGTERM.
 
-    access: where, and to whom. settings: parameters by key, over the scenario's own. recordings: folder for them.
+    access: where, and to whom. settings: parameters by key, over the scenario's own. recordings: folder for them. results: of a
+    campaign, to show on the robot.
 
-    Raises ScenarioError, ConfigError, AssetError, DeviceError or PageError before anything is served.
+    Raises HrcError for what cannot be, before anything is served.
     """
     over = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):  # SIGTERM would be lost on the first process of a container
         signal.signal(number, lambda *_: over.set())
     print("loading ...", flush=True)
     page = Page(scenario, access, device=device, settings=settings, seed=seed, say=lambda line: print(line, flush=True),
-                recordings=recordings)
+                recordings=recordings, results=results)
     print(f"Elbowroom is at {page.url} (Ctrl-C ends it)", flush=True)
     if page.watch_url is not None:
         print(f"to watch only:  {page.watch_url}", flush=True)

@@ -12,6 +12,7 @@ from app.serve.inputs import Inputs
 from app.serve.journal import Journal
 from app.serve.obstacles import ObstacleControls
 from app.serve.recordings import RecordingControls
+from app.serve.results import ResultsView
 from app.serve.scene import VIEWS
 from app.serve.session import Session
 from app.serve.steering import Steering
@@ -46,7 +47,8 @@ class Panel:
     def __init__(self, server: viser.ViserServer, session: Session, *, scenarios: Sequence[str], scenario: str,
                  config: Config, look: Callable[[viser.ClientHandle, str], None],
                  layers: Mapping[str, Callable[[bool], None]], obstacles: ObstacleControls, steering: Steering,
-                 tuning: Tuning, demo: Demo, theme: Theme, recordings: RecordingControls, journal: Journal) -> None:
+                 tuning: Tuning, demo: Demo, theme: Theme, recordings: RecordingControls, journal: Journal,
+                 results: ResultsView | None = None) -> None:
         """look: moves one browser's view. layers: what can be shown or not, by its label."""
         self._server, self._session, self._journal, self._config = server, session, journal, config
         self._inputs, self._tuning, self._demo = Inputs(server, config, session.put, journal.refuse), tuning, demo
@@ -82,6 +84,8 @@ class Panel:
             steering.add_posture()
         with tabs.add_tab("View", viser.Icon.EYE):
             self._add_view(look, layers, theme)
+            if results is not None:
+                results.add()
         with tabs.add_tab("Parameters", viser.Icon.ADJUSTMENTS):
             tuning.add(self._inputs)
         with tabs.add_tab("Record", viser.Icon.PLAYER_RECORD):

@@ -1,10 +1,10 @@
 """The page in a real Chromium: loading, camera images, pushing with the mouse, and stopping with the keyboard."""
 
-import re
 from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
+from mouse import pushed
 from playwright.sync_api import expect
 from vclient import VClient, until
 
@@ -16,15 +16,6 @@ COVERS = """() => {
   window.broken = [];
   document.addEventListener("securitypolicyviolation", (e) => window.broken.push(`${e.violatedDirective} ${e.blockedURI}`));
 }"""
-ON_SCREEN = """([name, offset]) => {
-  const scene = window.__viserMutable, node = scene.nodeRefFromName[name];
-  node.updateWorldMatrix(true, false);
-  const p = node.position.clone().set(...offset).applyMatrix4(node.matrixWorld).project(scene.camera);
-  const box = scene.canvas.getBoundingClientRect();
-  return [box.left + (p.x + 1) / 2 * box.width, box.top + (1 - p.y) / 2 * box.height];
-}"""
-
-
 WHILE_A_SLIDER_MOVES = """() => {
   const slider = document.querySelector("[role=slider]");
   const press = (target, key) =>
@@ -35,19 +26,6 @@ WHILE_A_SLIDER_MOVES = """() => {
   press(slider, "ArrowRight");
   press(slider, "ArrowLeft");
 }"""
-
-
-def pushed(tab: Any) -> bool:
-    """Grab the elbow, pull it sideways and keep the mouse moving; whether the banner shows that the arm reacts."""
-    tab.mouse.up()
-    x, y = tab.evaluate(ON_SCREEN, ["/robot/link_4", [0.0, 0.0, 0.0]])
-    tab.mouse.move(x, y)
-    tab.mouse.down()
-    for pixels in (*range(4, 64, 4), *(60 + i % 2 for i in range(40))):
-        tab.mouse.move(x + pixels, y)
-        if re.match("RELAX|ABORT", tab.locator("#eb-banner .eb-mode").inner_text()):
-            return True
-    return False
 
 
 def test_pushing_a_link_with_the_mouse_shows_relax_or_abort(tab: Any) -> None:

@@ -7,8 +7,8 @@ import zipfile
 from typing import Any
 
 import pytest
+from mouse import ON_SCREEN, pushed
 from playwright.sync_api import expect
-from test_page_browser import ON_SCREEN, pushed
 from vclient import VClient, until
 
 from app.record.repair import look

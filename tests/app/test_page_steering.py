@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mouse import ON_SCREEN
 from playwright.sync_api import expect
-from test_page_browser import ON_SCREEN
 from vclient import VClient, until
 
 from app.serve.main import Page

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mouse import ON_SCREEN
 from playwright.sync_api import expect
-from test_page_browser import ON_SCREEN
 from vclient import VClient
 
 from app.browser import COARSE, FLAGS, executable
