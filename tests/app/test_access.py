@@ -3,7 +3,6 @@
 import os
 import socket
 import ssl
-import subprocess
 from pathlib import Path
 from urllib.error import URLError
 from urllib.request import Request, urlopen
@@ -67,19 +66,6 @@ def test_tokens_come_from_the_command_line_or_the_environment(monkeypatch: pytes
 def test_tokens_that_cannot_serve_are_refused(operate: str | None, watch: str | None, told: str) -> None:
     with pytest.raises(PageError, match=told):
         Keys(operate, watch)
-
-
-@pytest.fixture(scope="module")
-def pem(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    folder = tmp_path_factory.mktemp("tls")
-    cert, key = folder / "cert.pem", folder / "key.pem"
-    try:
-        subprocess.run(["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes",
-                        "-keyout", key, "-out", cert, "-days", "2", "-subj", "/CN=localhost", "-addext",
-                        "subjectAltName=DNS:localhost,IP:127.0.0.1"], check=True, capture_output=True)
-    except FileNotFoundError:
-        pytest.skip("openssl is not on this machine")
-    return cert, key
 
 
 def test_https_with_a_certificate(pem: tuple[Path, Path]) -> None:

@@ -150,18 +150,6 @@ def test_killed_halfway_and_begun_again_it_has_the_records_of_an_undisturbed_run
 
 
 @pytest.fixture(scope="module")
-def pem(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    folder = tmp_path_factory.mktemp("tls")
-    cert, key = folder / "cert.pem", folder / "key.pem"
-    try:
-        subprocess.run(["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes",
-                        "-keyout", key, "-out", cert, "-days", "2", "-subj", "/CN=campaign"], check=True, capture_output=True)
-    except FileNotFoundError:
-        pytest.skip("openssl is not on this machine")
-    return cert, key
-
-
-@pytest.fixture(scope="module")
 def cluster(pem: tuple[Path, Path]) -> Iterator[tuple[str, list[int]]]:
     """Address of a scheduler with two workers behind TLS, and the process ids of all three."""
     with socket.socket() as free:
