@@ -71,8 +71,8 @@ def run(scenario: Annotated[Positional[str], arg(metavar="SCENARIO")], out: Path
         seed: Seed of all noise.
         duration: Simulated seconds to run; the scenario's own by default.
         settings: Parameters to change, as control.f_abort=30.
-        preset: Values to start from: default; paper, those printed in the paper; literal, its laws to the letter;
-            ideal, a robot without noise or model error.
+        preset: Values to start from: default; paper, those printed in the paper; literal, its laws to the letter; ideal, a
+            robot without noise or model error; harsh, one with more of both; two_cameras.
         device: Compute device of the vision, cpu or cuda:0.
         depth: Depth images to keep in session.rrd: none, sampled (5 a second), full (all).
         overwrite: Replace the folder of an earlier run.

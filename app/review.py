@@ -59,7 +59,8 @@ def program() -> Path:
     try:
         import rerun_cli
     except ModuleNotFoundError:
-        raise ReviewError('rerun\'s program is not installed; install "elbowroom[record]"') from None
+        raise ReviewError('rerun\'s program is not installed; install "elbowroom[record]" (an image has none: take the '
+                          "recording out and review it there)") from None
     path = Path(rerun_cli.__path__[0]) / ("rerun.exe" if sys.platform == "win32" else "rerun")
     if not path.is_file():
         raise ReviewError(f"rerun-sdk came without its program ({path.name}); install rerun-sdk again")

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Build the image and try what docs/docker.md promises of it:  deploy/check_image.py [--base IMAGE] [--no-build]
 
-Needs a Docker engine with BuildKit on Linux, and port 8080; where no engine runs, deploy/private_engine brings one. Each
-container runs read-only, without rights and on the network of the host. Prints one line for each promise; exit code 1 if
-one is broken. For pip inside the build PIP_INDEX_URL and PIP_CERT of the environment hold, handed over as secrets.
+Needs a Docker engine with BuildKit on Linux, and the ports 8080 and 8786; where no engine runs, deploy/private_engine brings
+one. Each container runs read-only, without rights and on the network of the host. Prints one line for each promise; exit
+code 1 if one is broken. For pip inside the build PIP_INDEX_URL and PIP_CERT of the environment hold, handed over as secrets.
 Standard library only.
 """
 

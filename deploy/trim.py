@@ -22,7 +22,7 @@ UNUSED = {
         ("*/tests", "numpy/**/tests", "scipy/**/tests", "matplotlib/**/tests", "dask/**/tests", "distributed/**/tests",
          "mujoco/*_test.py", "mujoco/testdata", "pyarrow/_pyarrow_cpp_tests*", "warp/examples",
          "matplotlib/mpl-data/sample_data"),
-    "Rerun's viewer in a window; the one in the browser stays": ("rerun_cli",),
+    "Rerun's program with its viewers; `review` needs it, and recordings are looked at outside": ("rerun_cli",),
     "MuJoCo's windows and its OpenGL, for which an image without graphics has no library":
         ("mujoco/studio", "mujoco/_render_filament*", "mujoco/usd", "OpenGL", "glfw"),
     "Arrow's way to servers and clouds":

@@ -1,5 +1,6 @@
 """`elbowroom campaign`: play what is missing, keep every record, and write what people can use."""
 
+import json
 import sys
 import time
 from collections import Counter
@@ -19,6 +20,8 @@ from app.campaign.store import Record, Store, opened
 from app.interrupt import Interrupt
 
 TABLE, SUMMARY = "records.parquet", "summary.parquet"
+STAMP = ".written"
+"""Of what tables and report were made."""
 BLOCK, TURNS, WARM = 12, 2, 2
 """Scaling: episodes for each worker in a turn; turns; episodes for each worker before, which do not count."""
 
@@ -129,16 +132,20 @@ def _scaling(workers: Engine, episodes: Iterator[Episode], keep: Callable[[Itera
 
 
 def _write(job: Job, campaign: Campaign, folder: Path, records: Sequence[Record], *, fresh: bool) -> None:
-    """Tables, report and sessions; again only if there are new records, or other sessions are asked for."""
+    """Tables, report and sessions; again only if there are other records, or something else is asked for of them."""
     indices = worst.ranked(campaign, records, job.record)
     kept = all((folder / worst.FOLDER / worst.name(index)).is_dir() for index in indices)
-    if not fresh and kept and all((folder / name).is_file() for name in (TABLE, SUMMARY, report.REPORT)):
+    stamp, now = folder / STAMP, json.dumps([len(records), campaign.title, campaign.description, campaign.metrics, indices])
+    there = all((folder / name).is_file() for name in (STAMP, TABLE, SUMMARY, report.REPORT))
+    if not fresh and kept and there and stamp.read_text(encoding="utf-8") == now:
         return
+    stamp.unlink(missing_ok=True)
     units = {name: metric.unit for name, metric in METRICS.items()}
     summary.write(folder / TABLE, records, units)
     summary.write(folder / SUMMARY, summary.rows(campaign, records))
     sessions = worst.keep(campaign, indices, folder / worst.FOLDER) if job.record else ()
     report.write(campaign, records, folder, sessions)
+    stamp.write_text(now, encoding="utf-8")
 
 
 def _errors(records: Sequence[Record]) -> Iterator[str]:

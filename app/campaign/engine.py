@@ -26,8 +26,8 @@ worker holds a second episode, which is blamed, too, when the first one kills th
 ATTEMPTS = 2
 """So often is an episode tried that was being played when workers died, each time by two of them: a machine may be taken away
 more than once."""
-PATIENCE = 10.0
-"""A scheduler must answer, and have a worker, within this [s]."""
+PATIENCE, FIRST = 10.0, 60.0
+"""Within this a scheduler must answer, and within that have a worker, which may be starting [s]."""
 FETCH, LOST = 8.0, 5
 """A result must come within this [s]: it lives on its worker, and may be lost with it before it is read. Then the episode is
 played again, so often at most."""
@@ -90,7 +90,7 @@ def _remote(cluster: Cluster, stack: ExitStack) -> Any:
         raise CampaignError(f"there is no scheduler that answers at {cluster.address}: "
                             f"{str(error) or type(error).__name__}") from None
     try:
-        client.wait_for_workers(1, timeout=PATIENCE)
+        client.wait_for_workers(1, timeout=FIRST)
     except TimeoutError:
         raise CampaignError(f"the scheduler at {cluster.address} has no workers") from None
     return client

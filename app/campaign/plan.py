@@ -1,7 +1,9 @@
 """Campaign files: what is swept, what is drawn at random, what happens; TOML, for people to copy and change."""
 
+import hashlib
 import itertools
 import json
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +25,8 @@ FOLDER = "campaigns"
 ENTRIES = ("title", "description", "preset", "scenario", "episodes", "seed", "worst", "metrics", "set", "sweep", "random")
 MOST = 10_000_000
 """No campaign has more episodes."""
+MOST_TRIED = 5_000
+"""Of more combinations of ends of what is drawn, at all points, each end is tried alone."""
 
 
 class CampaignError(HrcError):
@@ -76,7 +80,7 @@ class Campaign:
     @property
     def total(self) -> int:
         """Episodes in all."""
-        return self.episodes * len(self.points)
+        return self.episodes * math.prod(map(len, self.sweep.values()))
 
     def chosen(self, wanted: Callable[[int], bool]) -> Iterator[Episode]:
         """The episodes whose index is wanted.
@@ -97,13 +101,20 @@ class Campaign:
                     yield Episode(index, seed, trial, {"episode": k, **point, **drawn}, self.script)
 
     def identity(self) -> dict[str, Any]:
-        """Everything that a record depends on, ready for JSON; how many episodes there are does not matter to any of them."""
+        """Everything that a record depends on besides versions, ready for JSON. How many episodes there are does not matter to
+        any of them; the order of what is swept and drawn does: it numbers the points, and deals out the random numbers.
+        """
         script = None if self.script is None else {
             "duration": self.script.duration, "events": [[t, repr(event)] for t, event in self.script.events]}
         return json.loads(json.dumps({
             "seed": self.seed, "parameters": {key: v for key, v in keys(self.base).items() if key != "seed"},
-            "sweep": self.sweep, "scenario": script,
-            "random": {key: list(d.of) or {"low": d.low, "high": d.high} for key, d in self.random.items()}}))
+            "sweep": list(self.sweep.items()), "scenario": script, "files": self._files(),
+            "random": [[key, list(d.of) or {"low": d.low, "high": d.high}] for key, d in self.random.items()]}))
+
+    def _files(self) -> dict[str, str]:
+        """Digests of one's own files that the cell reads; those of the project belong to its version."""
+        paths = [Path(name) for name in (self.base.scene, self.base.task.waypoints) if name]
+        return {str(path): hashlib.sha256(path.read_bytes()).hexdigest()[:12] for path in paths if path.is_file()}
 
 
 def names() -> list[str]:
@@ -170,11 +181,14 @@ def _check(campaign: Campaign) -> None:
     for key in ("seed", "scene"):
         if key in swept:
             raise CampaignError(f"{key} cannot be swept or drawn" + (": every episode has its own" if key == "seed" else ""))
+    together = [dict(zip(campaign.random, values, strict=True))
+                for values in itertools.product(*(draw.ends for draw in campaign.random.values()))]
+    if len(together) * len(campaign.points) > MOST_TRIED:
+        together = [{key: value} for key, draw in campaign.random.items() for value in draw.ends]
     for point in campaign.points:
         trial = _changed(campaign.base, point)
-        for key, draw in campaign.random.items():
-            for value in draw.ends:
-                _changed(trial, {key: value})
+        for drawn in together:
+            _changed(trial, drawn)
 
 
 def _changed(trial: Trial, changes: Mapping[str, Any]) -> Trial:

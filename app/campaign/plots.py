@@ -1,5 +1,6 @@
 """Pictures of a campaign: curves over what was swept, and metrics on the robot."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from io import BytesIO
 from typing import Any
@@ -25,14 +26,16 @@ def curves(campaign: Campaign, table: Sequence[Row]) -> bytes | None:
     along = max(campaign.sweep, key=lambda key: len(campaign.sweep[key]))
     others = [key for key in campaign.sweep if key != along]
     x = _positions(campaign.sweep[along])
+    groups = list(itertools.product(*(campaign.sweep[key] for key in others)))
     for axes, metric in zip(panels, campaign.metrics, strict=False):
         lines: dict[tuple[Any, ...], list[Row]] = {}
         for row in table:
             if row["metric"] == metric and row["mean"] is not None:
                 lines.setdefault(tuple(row[key] for key in others), []).append(row)
-        for i, (values, rows) in enumerate(lines.items()):
+        for i, values in enumerate(groups):
+            rows = lines.get(values, [])  # none where it has no value: the others keep their colours
             label = ", ".join(f"{key} = {_shown(value)}" for key, value in zip(others, values, strict=True))
-            beside = 0.012 * (i - (len(lines) - 1) / 2) * (max(x.values()) - min(x.values()))  # bars do not hide one another
+            beside = 0.012 * (i - (len(groups) - 1) / 2) * (max(x.values()) - min(x.values()))  # bars do not hide one another
             _line(axes, [x[row[along]] + beside for row in rows], rows, label)
         if all(row["mean"] >= 0.0 for rows in lines.values() for row in rows):
             axes.set_ylim(bottom=0.0)

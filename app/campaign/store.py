@@ -61,16 +61,20 @@ def opened(folder: Path, campaign: Campaign, *, overwrite: bool = False) -> Iter
     OutputError for one that is something else or cannot be written. overwrite: begin anew there.
     """
     identity = {"campaign": campaign.identity(), "versions": versions()}
-    _check(folder, identity, overwrite=overwrite)
+    _check(folder)
+    with _claimed(folder) as file:  # from here on nobody else changes what is there
+        if (folder / MARK).exists() and not overwrite:
+            _compare(folder, identity)
+        else:
+            _begin(folder, file, {"name": campaign.name, **identity})
+        yield Store(folder, file)
+
+
+@contextmanager
+def _claimed(folder: Path) -> Iterator[FileIO]:
+    """The file of the records, which is this process's alone."""
     try:
-        if overwrite and folder.exists():
-            shutil.rmtree(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        mark = folder / MARK
-        if not mark.exists():
-            partial = folder / f".{MARK}"
-            partial.write_text(json.dumps({"name": campaign.name, **identity}, indent=1) + "\n", encoding="utf-8")
-            os.replace(partial, mark)
         file = (folder / RECORDS).open("a+b", buffering=0)
     except OSError as error:
         raise OutputError(f"cannot write the folder {folder}: {error.strerror}") from None
@@ -79,18 +83,37 @@ def opened(folder: Path, campaign: Campaign, *, overwrite: bool = False) -> Iter
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             raise CampaignError(f"another process is writing to {folder}") from None
-        yield Store(folder, file)
+        yield file
 
 
-def _check(folder: Path, identity: dict[str, Any], *, overwrite: bool) -> None:
+def _begin(folder: Path, file: FileIO, mark: dict[str, Any]) -> None:
+    """Remove everything but the file of the records, which is emptied, and say what they will be of."""
+    try:
+        for path in folder.iterdir():
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            elif path.name != RECORDS:
+                path.unlink()
+        file.truncate(0)
+        partial = folder / f".{MARK}"
+        partial.write_text(json.dumps(mark, indent=1) + "\n", encoding="utf-8")
+        os.replace(partial, folder / MARK)
+    except OSError as error:
+        raise OutputError(f"cannot write the folder {folder}: {error.strerror}") from None
+
+
+def _check(folder: Path) -> None:
+    """Raises OutputError for what may not be written to."""
     if not folder.name or folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise OutputError(f"{folder} cannot be the folder of a campaign; name one that does not exist")
-    if not folder.exists() or not any(folder.iterdir()):
-        return
+    if not folder.exists() or all(path.name == RECORDS and not path.stat().st_size for path in folder.iterdir()):
+        return  # an empty file of records is all that one leaves who was killed at the start
     if not (folder / MARK).is_file():
         raise OutputError(f"{folder} is not the folder of a campaign (no {MARK} in it), so nothing is written to it")
-    if overwrite:
-        return
+
+
+def _compare(folder: Path, identity: dict[str, Any]) -> None:
+    """Raises CampaignError if the records are of another campaign, or of other versions."""
     try:
         found = json.loads((folder / MARK).read_text(encoding="utf-8"))
         other, made_by = found["campaign"], found["versions"]

@@ -9,7 +9,7 @@ import hrc
 from hrc.paths import assets
 
 PACKAGES = ("elbowroom", "numpy", "mujoco", "pin", "warp-lang", "trimesh")
-OWN = ("trial.py", "places.py", "contacts.py", "judge.py", "episode.py")
+OWN = ("plan.py", "trial.py", "places.py", "contacts.py", "judge.py", "episode.py")
 """The modules beside this one that make a record."""
 
 
@@ -35,7 +35,7 @@ def _digest() -> str:
     package, own, data, total = Path(hrc.__file__).parent, Path(__file__).parent, assets(), hashlib.sha256()
     roots = {
         package: [file for file in package.rglob("*.py") if data not in file.parents],  # once installed, data is inside
-        data: [file for file in data.rglob("*") if file.suffix in (".xml", ".stl")],
+        data: [file for file in data.rglob("*") if file.suffix in (".xml", ".stl") or file.parent.name == "scenes"],
         own: [own / name for name in OWN], own.parent: [own.parent / "bench" / name for name in ("pushes.py", "touches.py")]}
     for root, files in roots.items():
         for file in sorted(files):

@@ -114,6 +114,8 @@ def soak(job: Job) -> list[str]:
     """
     if not 0.0 < job.hours <= 1000.0:
         raise HrcError(f"the hours must be above 0 and at most 1000, not {job.hours:g}")
+    if not job.rotate > 0.0 or job.browsers < 0:
+        raise HrcError(f"--rotate must be above 0 minutes and --browsers at least 0, not {job.rotate:g} and {job.browsers}")
     if job.json is not None:
         check(job.json)
     with contextlib.ExitStack() as stack:
@@ -121,10 +123,10 @@ def soak(job: Job) -> list[str]:
         folder.mkdir(parents=True, exist_ok=True)
         found = _run(job, folder)
     found["faults"] = faults(found, found["errors"])
-    if job.json is not None:
-        write(job.json, found)
     for line in table(found):
         print(line)
+    if job.json is not None:
+        write(job.json, found)
     return found["faults"]
 
 
@@ -146,9 +148,17 @@ def _run(job: Job, folder: Path) -> dict[str, Any]:
         crowd = pool.submit(riot, page.server.get_port(), job.seed, over, seconds + 60.0)
         stack.callback(over.set)
         health = Health(steps, config.rates.base_hz)
-        _sample(health, page, recorder, tabs, seconds)
+        try:  # whatever ends it early is an error among the others, and what was seen until then is told
+            _sample(health, page, recorder, tabs, seconds)
+        except (Exception, KeyboardInterrupt) as error:
+            errors.found.append(f"soak: {type(error).__name__}: {error}")
+            health.take(visitors=len(page.server.get_clients()), images=recorder.images_dropped)
         over.set()
-        done, failed = crowd.result(timeout=120.0)
+        try:
+            done, failed = crowd.result(timeout=120.0)
+        except Exception as error:
+            errors.found.append(f"visitors: {type(error).__name__}: {error}")
+            done, failed = {}, {}
         page.session.close()
         return {"conditions": {"seconds": seconds, "browsers": len(tabs), "seed": job.seed}, **summary(health.samples),
                 "done": done, "failed": failed, "refused": dict(page.guard.refused), "errors": _once(errors.found),
@@ -220,5 +230,6 @@ def table(found: dict[str, Any]) -> Iterator[str]:
     yield "visitors: " + ", ".join(f"{number} {name}" for name, number in sorted(found["done"].items()))
     yield from (f"  did not work out: {number} {name}" for name, number in found["failed"].items())
     yield "turned away: " + (", ".join(f"{number} {why}" for why, number in found["refused"].items()) or "nothing")
-    yield f"recording: {found['recording']['files']} files, the last of {found['recording']['kept_bytes'] / 1e6:.0f} MB"
+    recording = found["recording"]
+    yield f"recording: {recording['files']} files; those that remain have {recording['kept_bytes'] / 1e6:.0f} MB"
     yield from found["faults"] or ["all as it must be"]

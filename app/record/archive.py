@@ -9,6 +9,7 @@ import threading
 import time
 import zipfile
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -116,7 +117,12 @@ class Archive:
             if snapshot.tick == 1 and not any(isinstance(event, Reset) for event in snapshot.events):  # another cell
                 self._end("another cell has begun")
                 self._log, self._cycles = EventLog(), 0
-            self._log.on_step(snapshot)
+            resets = [i for i, event in enumerate(snapshot.events) if isinstance(event, Reset)]
+            if resets and self._now is None:  # the cell is as at its start: nothing before it matters to a later recording
+                self._log, self._cycles = EventLog(), 0
+                self._log.on_step(replace(snapshot, events=snapshot.events[resets[-1] + 1 :]))
+            else:
+                self._log.on_step(snapshot)
             if (now := self._now) is not None:
                 now.on_step(snapshot)
                 if why := now.recorder.stopped or now.problem:

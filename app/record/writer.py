@@ -4,6 +4,7 @@ Blocks of rows go through `send_columns`, which costs a hundredth of a call per 
 arrays it is given: every array handed over here is fresh and never written again.
 """
 
+import contextlib
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -53,10 +54,12 @@ class SessionWriter:
 
     def turn_over(self, path: Path, tick: int) -> None:
         """Finish the file, and go on in another that can be looked at alone, or together with the others."""
-        self._stream.set_sinks(self._sink(path))
         # As a file that was made once: of each blueprint that it is handed the SDK keeps 3 MB for good.
-        self._laid_out = self._laid_out or blueprint.saved(self._layout, APPLICATION)
-        self._stream.log_file_from_contents(f"layout{blueprint.SUFFIX}", self._laid_out)
+        with contextlib.suppress(OSError):  # without room for that the viewer has a layout of its own
+            self._laid_out = self._laid_out or blueprint.saved(self._layout, APPLICATION)
+        self._stream.set_sinks(self._sink(path))
+        if self._laid_out:
+            self._stream.log_file_from_contents(f"layout{blueprint.SUFFIX}", self._laid_out)
         self._begin(tick)
         for entity, state in self._state.items():
             self._stream.log(entity, rr.StateChange(state=state))

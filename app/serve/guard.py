@@ -3,8 +3,8 @@
 viser has no hook for any of this, but it builds its server by `websockets.asyncio.server.serve`, and that one has:
 `process_request` sees every request before it is answered, `create_connection` makes the object whose `recv` hands the
 messages over, and `sock` takes a socket bound beforehand (viser would move on to the next port in silence). So `serve`
-is wrapped while viser's constructor runs. Private names of viser are used in this file, inbound.py, icons.py and
-jpeg.py only; its version is pinned, and tests/app/test_guard.py is the tripwire.
+is wrapped while viser's constructor runs. Private names of viser are used in this file, inbound.py, icons.py,
+jpeg.py and wakeup.py only; its version is pinned, and tests/app/test_guard.py is the tripwire.
 """
 
 import asyncio
@@ -25,7 +25,7 @@ from viser import _messages
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-from app.serve import content
+from app.serve import content, wakeup
 from app.serve.address import LOOPBACK, PageError, bind, hostname, is_loopback, is_number
 from app.serve.inbound import RefusedError, screen, widget_of
 from app.serve.keys import Keys, Role
@@ -78,6 +78,7 @@ class Guard:
         if not is_loopback(host) and self.keys.operate is None:
             raise PageError(f"other machines can reach {host}: give a --token (or set ELBOWROOM_TOKEN), or use 127.0.0.1")
         listener = bind(host, port)
+        wakeup.install()
         stock = websockets_server.serve
 
         def guarded(handler: Any, _host: str, _port: int, **options: Any) -> Any:

@@ -33,7 +33,7 @@ class CameraImages:
         blank = Pictures(Camera()).blank
         names = MEASURED, EXPECTED, REMAINING
         self._images = {name: server.gui.add_image(blank, label=name, format="jpeg") for name in names}
-        self._sent = dict.fromkeys(self._images, blank.tobytes())
+        self._sent = dict.fromkeys(self._images, (blank.shape, blank.tobytes()))
         self._key = server.gui.add_html(_legend())
         self._drawn: object = None
         self._shown = True
@@ -70,7 +70,7 @@ class CameraImages:
         state = "" if view.frame is not None else ": none yet"
         self._images[MEASURED].label = MEASURED + (": SILENT" if view.silent else state)
         for name, picture in draw(view, self._pictures[view.camera], marks).items():
-            if (sent := picture.tobytes()) != self._sent[name]:
+            if (sent := (picture.shape, picture.tobytes())) != self._sent[name]:
                 self._sent[name] = sent
                 jpeg.show(self._images[name], picture)
 

@@ -75,7 +75,7 @@ class Page:
         self.guard = Guard(access.keys, names=access.names, tls=access.tls, healthy=lambda: self.session.healthy)
         self.server = self.guard.open(access.host, access.port, "Elbowroom")
         self.url, self.watch_url = access.urls(self.server.get_port())
-        self._scenario = scenario
+        self._scenario, self._switched = scenario, sys.getswitchinterval()
         theme = Theme(self.server)
         view, forces, cameras = SceneView(self.server), ForceView(self.server), CameraView(self.server)
         distances, signals = DistanceView(self.server), SignalView(self.server)
@@ -104,6 +104,7 @@ class Page:
 
     def start(self) -> None:
         """Publish, and start the cell; returns at once."""
+        self._switched = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH)
         self._publisher.start()
         self.session.start(self._scenario)
@@ -114,6 +115,7 @@ class Page:
         self.session.close()
         self._publisher.close()
         self.recordings.close()
+        sys.setswitchinterval(self._switched)
         with contextlib.redirect_stdout(io.StringIO()):  # viser announces its end on stdout
             self.server.stop()
 

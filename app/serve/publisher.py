@@ -36,6 +36,8 @@ from hrc.scene import load_scene
 POSE_HZ = 30
 CLOUD_EVERY, IMAGE_EVERY, PANEL_EVERY, NUMBERS_EVERY, TRAIL_EVERY = 2, 3, 3, 6, 6
 """In beats of POSE_HZ: cloud 15 Hz, camera images, banner and plot 10 Hz, numbers and tool path 5 Hz."""
+GAP = 0.02
+"""Between two beats, however late they are [s]: viser sends only then, and looks 60 times a second."""
 
 
 @dataclass
@@ -78,7 +80,7 @@ class Publisher:
 
     def _loop(self) -> None:
         beat, due = 0, time.monotonic()
-        while not self._closing.wait(max(0.0, due - time.monotonic())):
+        while not self._closing.wait(max(GAP, due - time.monotonic())):
             due = max(due + 1.0 / POSE_HZ, time.monotonic())
             beat += 1
             try:

@@ -1,5 +1,6 @@
 """What a campaign has found, on the robot in the page: a metric as the colour of its surface."""
 
+import asyncio
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -58,13 +59,15 @@ class ResultsView:
         self._legend = self._server.gui.add_html("")
 
         async def on_choice(event: viser.GuiEvent[Any]) -> None:
-            self.show(event.target.value)
+            field = self._fields.get(event.target.value)
+            glbs = await asyncio.to_thread(skins, field) if field is not None else []  # it may take a second
+            if choice.value == event.target.value:  # nobody has chosen again meanwhile
+                self._show(field, glbs)
 
         choice.on_update(on_choice)
 
-    def show(self, metric: str) -> None:
-        """Colour the robot by a metric, or as its links are."""
-        field = self._fields.get(metric)
+    def _show(self, field: "Field | None", glbs: Sequence[bytes]) -> None:
+        """The robot in these skins, or as its links are."""
         with self._server.atomic():
             for skin in self._skins:
                 skin.remove()
@@ -72,8 +75,7 @@ class ResultsView:
             for node in self._links:
                 node.opacity = None if field is None else 0.0
             self._skins = [] if field is None else [
-                self._server.scene.add_glb(f"{node.name}/results", glb)
-                for node, glb in zip(self._links, skins(field), strict=True)]
+                self._server.scene.add_glb(f"{node.name}/results", glb) for node, glb in zip(self._links, glbs, strict=True)]
             self._legend.content = "" if field is None else _legend(field)
 
 

@@ -11,6 +11,8 @@ where it was written: with a stand-in for `sbatch` that runs the job on the same
 import argparse
 import os
 import sys
+import threading
+import time
 from pathlib import Path
 
 import dask.config
@@ -48,8 +50,18 @@ def run() -> None:
             print(cluster.job_script())
             return
         cluster.scale(asked.jobs)
+        print(f"waiting for the first of {asked.jobs} jobs", flush=True)
+        cluster.wait_for_workers(1)  # the queue may be long
+        threading.Thread(target=replaced, args=(cluster, asked.jobs), daemon=True).start()
         tls = ["--tls-ca", cert, "--tls-cert", cert, "--tls-key", key]
         main(["campaign", *campaign, "--address", cluster.scheduler_address, *tls])
+
+
+def replaced(cluster: SLURMCluster, jobs: int) -> None:
+    """Ask for others in the place of those whose time is over, again and again."""
+    while True:
+        time.sleep(60.0)
+        cluster.scale(jobs)
 
 
 if __name__ == "__main__":

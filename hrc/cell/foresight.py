@@ -8,6 +8,7 @@ from concurrent.futures import wait as wait_for
 import numpy as np
 from numpy.typing import NDArray
 
+from hrc.cell.clock import Rate
 from hrc.errors import SensorError
 from hrc.messages import Body, DepthFrame
 from hrc.sim.depth_camera import DepthCamera, SensorConfig
@@ -19,7 +20,10 @@ Image = NDArray[np.float32]
 
 
 class Ahead:
-    """The thread that renders, one for all cameras of a cell."""
+    """The thread that renders, one for all cameras of a cell.
+
+    Warp runs kernels of two threads on a CPU at the same time as long as none of them uses its tiles, which share one buffer.
+    """
 
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(1, "ahead")
@@ -39,11 +43,13 @@ class Ahead:
 class ForeseenCamera:
     """A simulated camera whose scenes are known beforehand; its frames have the bits that they have without this.
 
-    scenes: by step. step: tells the number of the one being taken.
+    scenes: by step, of whichever camera takes a frame there. rate: at which this one does. step: tells the number of the one
+    being taken.
     """
 
-    def __init__(self, camera: DepthCamera, scenes: Mapping[int, Scene], step: Callable[[], int], ahead: Ahead) -> None:
-        self._camera, self._scenes, self._step, self._ahead = camera, scenes, step, ahead
+    def __init__(self, camera: DepthCamera, scenes: Mapping[int, Scene], rate: Rate, step: Callable[[], int],
+                 ahead: Ahead) -> None:
+        self._camera, self._scenes, self._rate, self._step, self._ahead = camera, scenes, rate, step, ahead
         steps = sorted(scenes)
         self._after = dict(itertools.pairwise(steps))
         self._number = 0
@@ -64,7 +70,10 @@ class ForeseenCamera:
             self._ahead.wait()
             image = self._camera.render(self._number, T_world_link, bodies)
         self._number += 1
-        if (then := self._after.get(step)) is not None:
+        then = self._after.get(step)
+        while then is not None and not self._rate.due(tick + then - step):
+            then = self._after.get(then)
+        if then is not None:
             number, scene = self._number, self._scenes[then]
             self._coming = then, self._ahead.begin(lambda: self._camera.render(number, *scene))
         return self._camera.keep(tick, image)

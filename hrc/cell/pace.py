@@ -30,7 +30,7 @@ class RealTime:
     factor: the real-time factor achieved lately (0 while paused). capped: whether time was dropped lately.
     """
 
-    CATCH_UP_S = 0.05
+    CATCH_UP_S = 0.2
     WINDOW_S = 1.0
 
     def __init__(self, base_hz: int = 1000, speed: float = 1.0, *, now: Callable[[], float] = time.perf_counter,

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrc.cell.cell import Cell
+from hrc.cell.clock import Rate
 from hrc.cell.eyes import CameraSetup, Eyes, Sensor, simulated
 from hrc.cell.foresight import Ahead, ForeseenCamera
 from hrc.config import Config
@@ -121,7 +122,8 @@ class PlayedCell(Cell):
             camera = simulated(setup, scene, seed, device)
             if device != "cpu":  # there the host has little to do with it
                 return camera
-            return ForeseenCamera(camera, self._tape.exposed, lambda: self._steps - 1, self._ahead)
+            rate = Rate(setup.hz, config.rates.base_hz)
+            return ForeseenCamera(camera, self._tape.exposed, rate, lambda: self._steps - 1, self._ahead)
 
         if (images := self._images) is None:
             return Eyes(self.scene, config, self.device, foreseen, images=False)

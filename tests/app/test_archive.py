@@ -55,6 +55,23 @@ def test_a_recording_from_the_middle_runs_again_bit_for_bit(archive):
     assert archive.seconds(name) == pytest.approx(0.5, abs=0.01)
 
 
+def test_what_was_before_a_reset_is_not_kept_for_later(tmp_path):
+    archive, cell, inbox = Archive(tmp_path / "recordings"), Cell(), Inbox()
+    config = cell.config
+    inbox.put(Push(4, (0.0, 0.0, 0.0), (0.0, 20.0, 0.0)))
+    run(cell, pace.FreeRun(7), inbox, [archive], until=100)
+    for event in (Push(3, (0.0, 0.0, 0.0), (0.0, 20.0, 0.0)), Reset(), MoveObstacle("ball", (-0.5, 0.4, 0.5))):
+        inbox.put(event)
+    run(cell, pace.FreeRun(1), inbox, [archive], until=10**6, stopped=lambda: cell.tick == 50)
+    name = archive.start("free", config, {}, "none")
+    run(cell, pace.FreeRun(7), inbox, [archive], until=300)
+    assert archive.stop() == ""
+    session = read(archive.folder(name))
+    assert [type(entry.event) for entry in session.events] == [MoveObstacle]
+    assert session.skipped == 10
+    assert exact(archive.folder(name)) == (f"identical, 0 differing ticks of {len(session.columns['tick'])}", True)
+
+
 @pytest.mark.parametrize("name", [
     "", ".", "..", "../outside", "none", "link", "/etc", "{}/..", "{}/../../outside", "{}\0", "{}/"])
 def test_what_is_not_in_the_list_is_neither_read_nor_deleted(archive, name):

@@ -13,6 +13,7 @@ from app.__main__ import main
 from app.bench.pushes import dynamics
 from app.bench.touches import poses, samples
 from app.campaign import places, plan, store, summary, worst
+from app.campaign.command import SUMMARY
 from app.campaign.contacts import TAP, share, surface_along
 from app.campaign.episode import Episode, play
 from app.campaign.metrics import METRICS
@@ -23,6 +24,7 @@ from hrc import meshes
 from hrc.errors import HrcError
 from hrc.geometry import apply
 from hrc.parameters import keys, replaced
+from hrc.paths import assets
 from hrc.scene import BodySpec
 from hrc.vision.camera import CameraConfig
 
@@ -223,6 +225,12 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+def summary_of(out: Path) -> dict[str, list[object]]:
+    import pyarrow.parquet as pq
+
+    return pq.read_table(out / SUMMARY).to_pydict()
+
+
 # -- records ------------------------------------------------------------------------------------------------------------
 
 
@@ -269,6 +277,59 @@ def test_records_of_another_campaign_are_refused_and_a_strangers_folder_in_any_c
     with pytest.raises(OutputError, match="not the folder of a campaign"), store.opened(thesis, campaign, overwrite=True):
         pass
     assert (thesis / "chapter.txt").exists()
+
+
+def test_to_begin_anew_leaves_a_campaign_that_runs_alone_and_nothing_of_one_that_does_not(short: Path, tmp_path: Path) -> None:
+    campaign, out = load(short), tmp_path / "out"
+    with store.opened(out, campaign) as running:
+        running.add(row(0))
+        with pytest.raises(CampaignError, match="another process"), store.opened(out, campaign, overwrite=True):
+            pass
+        running.add(row(1))
+    (out / "worst").mkdir()
+    (out / "worst" / "old").write_text("old")
+    with store.opened(out, campaign) as again:
+        assert sorted(again.records) == [0, 1]
+    with store.opened(out, campaign, overwrite=True) as anew:
+        assert not anew.records
+    assert sorted(path.name for path in out.iterdir()) == [store.MARK, store.RECORDS]
+    (out / store.MARK).unlink()  # all that a process leaves that is killed at the start
+    with store.opened(out, campaign) as again:
+        again.add(row(0))
+
+
+def test_another_order_of_what_is_swept_is_another_campaign(short: Path, tmp_path: Path) -> None:
+    more = "sensor.noise = [1.0, 2.0]"
+    short.write_text(SHORT.replace("plant.friction_left = [0.0, 0.3]", f"plant.friction_left = [0.0, 0.3]\n{more}"))
+    with store.opened(tmp_path / "out", load(short)) as opened:
+        opened.add(row(0))
+    short.write_text(SHORT.replace("plant.friction_left = [0.0, 0.3]", f"{more}\nplant.friction_left = [0.0, 0.3]"))
+    with pytest.raises(CampaignError, match="sweep differ"), store.opened(tmp_path / "out", load(short)):
+        pass
+
+
+def test_own_files_belong_to_the_campaign(short: Path, tmp_path: Path) -> None:
+    scene = tmp_path / "scene.toml"
+    scene.write_text((assets() / "scenes" / "cell.toml").read_text())
+    short.write_text(SHORT.replace("[set]", f'[set]\nscene = "{scene}"'))
+    before = load(short).identity()
+    scene.write_text(scene.read_text() + "\n# moved\n")
+    assert load(short).identity()["files"] != before["files"]
+
+
+def test_tables_and_report_follow_what_is_asked_of_the_same_records(
+        short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    main(["campaign", str(short), "--out", str(out), "--workers", "1"])
+    first = (out / "report.html").stat().st_mtime_ns
+    main(["campaign", str(short), "--out", str(out)])
+    assert (out / "report.html").stat().st_mtime_ns == first, "nothing new, nothing written"
+    short.write_text(SHORT.replace('title = "Short"', 'title = "Shorter"').replace('"missed", ', ""))
+    main(["campaign", str(short), "--out", str(out), "--episodes", "1"])
+    assert "2 of 2 records" in capsys.readouterr().out
+    assert "Shorter" in (out / "report.html").read_text()
+    assert set(summary_of(out)["metric"]) == {"force_error_N"}
+    assert set(summary_of(out)["n"]) <= {0, 1}
 
 
 def test_a_record_without_room_is_one_clear_line_and_costs_no_other(short: Path, tmp_path: Path) -> None:

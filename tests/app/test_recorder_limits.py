@@ -36,7 +36,11 @@ def test_a_long_recording_goes_on_in_another_file_and_loses_nothing(tmp_path):
     from rerun.chunk import RrdReader
 
     assert len({RrdReader(str(path)).recordings()[0].recording_id for path in recorder.paths}) == 1
-    assert all(RrdReader(str(path)).blueprints() for path in recorder.paths), "each opens in the same layout"
+    readers = [RrdReader(str(path)) for path in recorder.paths]
+    layouts = [sorted(chunk.entity_path for chunk in reader.stream(store=reader.blueprints()[0])) for reader in readers]
+    assert len(layouts[0]) > 20
+    assert layouts[0] == layouts[1] == layouts[2], "each opens in the same layout"
+    assert [len(reader.recordings()) for reader in readers] == [1, 1, 1]
     last = recorder.paths[2]
     assert column(last, "/state/mode", "StateChange:state")[1][0] in (["idle"], ["relax"]), "known from its start"
     assert column(last, "/world/obstacles/ball", "Ellipsoids3D:half_sizes")[1][0] != [], "there from its start"
@@ -98,8 +102,8 @@ def test_a_disk_that_fills_up_ends_the_recording_with_a_file_that_opens_and_the_
             if recorder.stopped and not stopped:
                 stopped.append(snapshot.tick)
 
-    run(cell, pace.FreeRun(), Inbox(scenario.load("push")), [recorder, Watch()], until=6000)
-    assert cell.tick == 6000
+    run(cell, pace.FreeRun(), Inbox(scenario.load("push")), [recorder, Watch()], until=12000)
+    assert cell.tick == 12000
     assert stopped, "it was known while the robot ran"
     with pytest.raises(RecordingError, match=told):
         recorder.close()

@@ -1,11 +1,13 @@
 """A campaign's results on the robot in the page."""
 
+import io
 import json
 import re
 import struct
 
 import numpy as np
 import pytest
+import trimesh
 from mouse import pushed
 from vclient import VClient, until
 
@@ -18,6 +20,7 @@ from app.serve.main import Page
 from app.serve.results import LABEL, LINKS, read, skins
 from hrc import meshes
 from hrc.errors import HrcError
+from hrc.messages import LINKS as LINK_NAMES
 
 METRIC = "force_error_N"
 
@@ -61,6 +64,18 @@ def test_the_surface_has_the_colours_of_what_was_found(folder):
         assert tree["materials"][part["material"]]["pbrMetallicRoughness"]["metallicFactor"] == 0.0
 
 
+def test_each_vertex_has_the_colour_of_its_place(folder):
+    (field,) = read(folder)
+    link = meshes.shaded(meshes.robot("perception")[4])
+    loaded = trimesh.load_mesh(io.BytesIO(skins(field)[4]), file_type="glb", process=False)
+    assert isinstance(loaded, trimesh.Trimesh)
+    np.testing.assert_allclose(loaded.vertices, link.vertices, atol=1e-6)
+    red, _, blue, *_ = np.asarray(loaded.visual.vertex_attributes["color"], float).T
+    one, other = link.vertices[:, 0] > 0.05, link.vertices[:, 0] < -0.05
+    assert red[one].mean() > 2.0 * blue[one].mean()
+    assert blue[other].mean() > 2.0 * red[other].mean()
+
+
 @pytest.mark.parametrize(("make", "said"), [
     (lambda path: path, "no results of a campaign"),
     (lambda path: path / "nowhere", "no results of a campaign"),
@@ -77,6 +92,11 @@ def test_what_are_no_results_is_said_before_anything_is_served(make, said, tmp_p
     assert said in capsys.readouterr().err
 
 
+def robot(page):
+    """The nodes of its links."""
+    return [page.server.scene._handle_from_node_name[f"/robot/{name}"] for name in LINK_NAMES]
+
+
 @pytest.mark.live
 def test_the_choice_colours_the_robot_and_takes_it_back(page):
     client = VClient(page.server.get_port())
@@ -84,8 +104,11 @@ def test_the_choice_colours_the_robot_and_takes_it_back(page):
     until(lambda: client.banner()["mode"] == "idle", 60.0)
     client.set(LABEL, METRIC)
     until(lambda: "/robot/link_4/results" in client.nodes and f'data-metric="{METRIC}"' in client.text())
+    assert {node.opacity for node in robot(page)} == {0.0}, "the skins are seen, and the links are still there to be pushed"
     client.set(LABEL, LINKS)
     until(lambda: "data-metric" not in client.text())
+    assert {node.opacity for node in robot(page)} == {None}
+    assert not any("results" in name for name in page.server.scene._handle_from_node_name)
     client.close()
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hrc.cell.cell import Cell
+from hrc.cell.clock import Rate
 from hrc.cell.eyes import rig, simulated
 from hrc.cell.foresight import Ahead, ForeseenCamera
 from hrc.errors import SensorError
@@ -36,7 +37,8 @@ def pair(scenes):
     config = Cell().config
     (setup,), scene = rig(config), load_scene(config.scene)
     now = [0]
-    ahead = ForeseenCamera(simulated(setup, scene, 3, "cpu"), scenes, lambda: now[0], Ahead())
+    rate = Rate(1000, 1000)  # due at every step there is
+    ahead = ForeseenCamera(simulated(setup, scene, 3, "cpu"), scenes, rate, lambda: now[0], Ahead())
     return simulated(setup, scene, 3, "cpu"), ahead, now, setup.sensor
 
 

@@ -37,7 +37,7 @@ def test_lost_time_is_dropped_and_said():
     clock = Clock()
     pacer = RealTime(1000, now=clock.now, sleep=clock.sleep)
     clock.t += 5.0
-    assert pacer.steps_due() <= 50
+    assert pacer.steps_due() <= 200
     run_for(pacer, clock, 0.5)
     assert pacer.capped
 
@@ -48,8 +48,8 @@ def test_a_clock_that_jumps_by_an_hour_costs_a_moment(jump):
     pacer = RealTime(1000, now=clock.now, sleep=clock.sleep)
     run_for(pacer, clock, 2.0)
     clock.t += jump
-    assert pacer.steps_due() <= 50
-    assert run_for(pacer, clock, 3.0) == pytest.approx(3000, abs=60)
+    assert pacer.steps_due() <= 200
+    assert run_for(pacer, clock, 3.0) == pytest.approx(3000, abs=210)
     assert pacer.factor == pytest.approx(1.0, rel=0.02)
 
 
