@@ -40,8 +40,10 @@ _PERIOD = 0.05
 """The worker looks for work this often [s]: to wake it would cost the loop more than to leave it a note."""
 RESERVE = 500_000_000
 """Bytes of disk below which the recording ends, while a footer still fits. The SDK itself would fail silently."""
-FULL = 1_000_000
-"""Bytes of disk below which a failure to write is one of room."""
+FULL, LEAST = 1_000_000, 4_000_000
+"""Bytes of disk below which a failure to write is one of room, and that any recording leaves free: where there is no room for
+what is on its way, the SDK may wait for ever.
+"""
 ROTATE_S = 600.0
 """Simulated seconds [s] after which a recording goes on in another file: the viewer opens a finished one at once."""
 
@@ -93,7 +95,7 @@ class Recorder:
         if depth not in get_args(Depth):
             raise RecordingError(unknown("choice of depth", depth, get_args(Depth)))
         self.paths, self._beside = [path.resolve()], beside
-        self._reserve, self._rotate = reserve, round(rotate * base_hz)
+        self._reserve, self._rotate = max(reserve, LEAST), round(rotate * base_hz)
         self._clock = _Clock()
         self._begun = -1
         self._seen = time.perf_counter()
