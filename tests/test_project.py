@@ -33,7 +33,7 @@ def wanted(lock: str) -> list[Requirement]:
     project, groups = PROJECT["project"], PROJECT["dependency-groups"]
     texts = [*PROJECT["build-system"]["requires"], *project["dependencies"], *groups["build"]]
     extras = project["optional-dependencies"].items()
-    texts += [text for name, extra in extras if name not in ("bench", "mcap") for text in extra]
+    texts += [text for name, extra in extras if name not in ("bench", "mcap", "slurm") for text in extra]
     if lock == "requirements-dev.lock":
         texts += [text for text in groups["dev"] if isinstance(text, str)]
     return [requirement for requirement in map(Requirement, texts) if requirement.name != project["name"]]

@@ -17,6 +17,7 @@ import pytest
 from app.__main__ import main
 from app.campaign import engine as engine_module
 from app.campaign.cluster import Cluster
+from app.campaign.command import STAMP
 from app.campaign.engine import engine
 from app.campaign.episode import play
 from app.campaign.plan import Campaign, CampaignError, load
@@ -135,7 +136,7 @@ def test_killed_halfway_and_begun_again_it_has_the_records_of_an_undisturbed_run
     assert f"{len(expected)} episodes, {before} of them there" in said
     assert "6 of 12 episodes failed" in said
     assert {p.name for p in out.iterdir()} == {"campaign.json", RECORDS, "records.parquet", "summary.parquet", "report.html",
-                                               "worst"}
+                                               STAMP, "worst"}
     (session,) = (out / "worst").iterdir()
     assert exact(session)[1], "the worst episode can be replayed to the last bit"
     html = (out / "report.html").read_text()
