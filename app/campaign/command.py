@@ -135,7 +135,7 @@ def _write(job: Job, campaign: Campaign, folder: Path, records: Sequence[Record]
     """Tables, report and sessions; again only if there are other records, or something else is asked for of them."""
     indices = worst.ranked(campaign, records, job.record)
     kept = all((folder / worst.FOLDER / worst.name(index)).is_dir() for index in indices)
-    stamp, now = folder / STAMP, json.dumps([len(records), campaign.title, campaign.description, campaign.metrics, indices])
+    stamp, now = folder / STAMP, json.dumps([len(records), campaign.title, campaign.description, campaign.metrics])
     there = all((folder / name).is_file() for name in (STAMP, TABLE, SUMMARY, report.REPORT))
     if not fresh and kept and there and stamp.read_text(encoding="utf-8") == now:
         return
