@@ -94,7 +94,7 @@ def execute(job: Job) -> dict[str, Any]:
         figures = {**about, "simulated_s": cell.tick / config.rates.base_hz, "interrupted": interrupted,
                    "recording_problem": problem, **metrics.compute(columns),
                    "counts": _counts(cell, len(columns["tick"]), spool.log, recording),
-                   "refused": [f"{type(entry.event).__name__}: {entry.refused}" for entry in spool.log.refused]}
+                   "refused": spool.log.refusals()}
         tape.write(folder)
         _draw(folder, script.name, columns, config)
         clock.lap("write")
@@ -175,7 +175,7 @@ def _drive(job: Job, cell: Cell, inbox: Inbox, observers: list[Observer], end: i
 
 
 def _counts(cell: Cell, rows: int, log: EventLog, recorder: "Recorder | None") -> dict[str, int]:
-    counts = {"ticks": cell.tick, "control_ticks": rows, "events": len(log.taken), "refused": len(log.refused)}
+    counts = {"ticks": cell.tick, "control_ticks": rows, "events": log.taken, "refused": log.refused}
     if recorder:
         counts |= {"depth_images": recorder.images_kept, "depth_images_dropped": recorder.images_dropped}
     return counts

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from app import metrics, output, settings
-from app.record.folder import Session, SessionError, write, write_json
+from app.record.folder import Session, SessionError, line, write, write_json
 from app.record.signals import Columns
 from app.record.tape import ROBOT, TapeTable, read_tape
 from app.replay import OPEN_LOOP, Difference, again, difference, opened, other_versions, tail
@@ -156,7 +156,7 @@ def _figures(columns: Columns) -> dict[str, Any]:
 
 def _write(out: Path, replay: Replay, about: Mapping[str, Any], config: Config, *, overwrite: bool) -> None:
     with output.folder(out, overwrite=overwrite) as folder:
-        write(folder, config, about, replay.columns, replay.session.events)
+        write(folder, config, about, replay.columns, map(line, replay.session.events))
         write_json(folder / "metrics.json", {
             **about, "real_time_factor": replay.factor, **replay.figures,
             "changed_control_ticks": replay.changed.ticks if replay.changed else 0})

@@ -56,5 +56,5 @@ def record(episode: Episode, out: Path, title: str) -> None:
     with output.folder(out) as partial:
         with recorder(partial / "session.rrd", cell, about, "full") as recording:
             found.play(cell, table, log, tape, recording)
-        write(partial, found.config, about, table.columns(), log.entries)
+        write(partial, found.config, about, table.columns(), log.lines())
         tape.write(partial)

@@ -2,7 +2,8 @@
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+import zlib
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ from hrc.parameters import assembled, keys
 EVENTS, SIGNALS, METRICS, SESSION = "events.jsonl", "signals.parquet", "metrics.json", "session.rrd"
 SKIPPED = "control_ticks_before"
 """In config.json: the control ticks that the cell had taken when the recording began."""
+_BLOCK = 100
+"""Events that are compressed together: a quarter of a millisecond of a step."""
 
 
 class SessionError(HrcError):
@@ -39,29 +42,46 @@ class Entry:
 
 
 class EventLog:
-    """An observer that keeps every event; it must see a session from its start, for a replay begins there."""
+    """An observer that keeps every event, as lines of events.jsonl; it must see a session from its start.
+
+    People who drag make ten events a second for as long as a page is open. What is not of the last minute or so is therefore
+    kept compressed: some 50 bytes an event, where the objects themselves would be 450.
+    """
 
     def __init__(self, before: "EventLog | None" = None) -> None:
         """before: one that has seen the session until now; this one goes on with a copy of it."""
-        self.entries: list[Entry] = list(before.entries) if before is not None else []
+        self._packed: list[bytes] = list(before._packed) if before is not None else []
+        self._lines: list[str] = list(before._lines) if before is not None else []
         self._last = before._last if before is not None else 0
+        self.taken = before.taken if before is not None else 0
+        self.refused = before.refused if before is not None else 0
+        """Numbers of events that were taken, and that were refused."""
 
     def on_step(self, snapshot: Snapshot) -> None:
         """Take the events of this step."""
-        for event in snapshot.events:
-            self.entries.append(Entry(self._last if isinstance(event, Reset) else snapshot.tick - 1, event))
-        self.entries += [Entry(snapshot.tick - 1, event, reason) for event, reason in snapshot.refused]
+        self.take(snapshot)
+
+    def take(self, snapshot: Snapshot) -> list[str]:
+        """Take the events of this step; their lines."""
+        new = [line(Entry(self._last if isinstance(event, Reset) else snapshot.tick - 1, event)) for event in snapshot.events]
+        new += [line(Entry(snapshot.tick - 1, event, reason)) for event, reason in snapshot.refused]
         self._last = snapshot.tick
+        self.taken += len(snapshot.events)
+        self.refused += len(snapshot.refused)
+        self._lines += new
+        if len(self._lines) >= _BLOCK:
+            self._packed.append(zlib.compress("".join(self._lines).encode()))
+            self._lines.clear()
+        return new
 
-    @property
-    def taken(self) -> list[Entry]:
-        """Without those that were refused."""
-        return [entry for entry in self.entries if not entry.refused]
+    def lines(self) -> list[str]:
+        """All of them."""
+        return [*(row for block in self._packed for row in zlib.decompress(block).decode().splitlines(True)), *self._lines]
 
-    @property
-    def refused(self) -> list[Entry]:
-        """Those that were refused."""
-        return [entry for entry in self.entries if entry.refused]
+    def refusals(self) -> list[str]:
+        """What was refused, and why."""
+        found = [json.loads(row) for row in self.lines() if '"refused"' in row] if self.refused else []
+        return [f"{values['event']['type']}: {values['refused']}" for values in found if "refused" in values]
 
 
 @dataclass(frozen=True)
@@ -79,14 +99,14 @@ class Session:
     skipped: int = 0
 
 
-def write(folder: Path, config: Config, about: Mapping[str, Any], columns: Columns, events: Sequence[Entry]) -> None:
+def write(folder: Path, config: Config, about: Mapping[str, Any], columns: Columns, events: Iterable[str]) -> None:
     """Write config.json, events.jsonl and signals.parquet, which are enough to run the session again.
 
-    config: at the start. about: goes into config.json and signals.parquet, with the `device` at least.
+    config: at the start. about: goes into config.json and signals.parquet, with the `device` at least. events: their lines.
     """
     write_parquet(folder / SIGNALS, columns, about)
     write_config(folder, config, about)
-    (folder / EVENTS).write_text("".join(map(line, events)))
+    (folder / EVENTS).write_text("".join(events))
 
 
 def write_config(folder: Path, config: Config, about: Mapping[str, Any]) -> None:

@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from app.output import MARK
-from app.record.folder import EVENTS, SIGNALS, EventLog, SessionError, line, write_config
+from app.record.folder import EVENTS, SIGNALS, EventLog, SessionError, write_config
 from app.record.signals import WIDTH, Columns, arrow, columns_of, row, typed, write_parquet
 from hrc.config import Config
 from hrc.messages import Snapshot
@@ -34,17 +34,14 @@ class Spool:
         self._folder, self._config, self._about = folder, config, dict(about)
         self.log = EventLog(before)
         self._block, self._n = np.empty((_BLOCK, WIDTH)), 0
-        self._told = 0
         self._files: tuple[BinaryIO, BinaryIO] | None = None
 
     def on_step(self, snapshot: Snapshot) -> None:
         """Take one step."""
         events, _ = self._files or self._open()
-        self.log.on_step(snapshot)
-        if new := self.log.entries[self._told :]:
-            events.write("".join(map(line, new)).encode())
+        if new := self.log.take(snapshot):
+            events.write("".join(new).encode())
             events.flush()  # what the system has, outlives this process
-            self._told += len(new)
         if snapshot.fresh_control:
             self._block[self._n] = row(snapshot)
             self._n += 1
@@ -62,6 +59,7 @@ class Spool:
     def _open(self) -> tuple[BinaryIO, BinaryIO]:
         write_config(self._folder, self._config, self._about)
         self._files = (self._folder / EVENTS).open("wb"), (self._folder / ROWS).open("wb")
+        self._files[0].write("".join(self.log.lines()).encode())
         self._files[1].write(arrow(typed(self._block[:0])).schema.serialize())
         return self._files
 

@@ -146,7 +146,6 @@ class Cell:
             self._steering.apply(event, self._state, self._reaction.mode)
         else:
             self._robot.apply(event)
-        self.log.append((self.tick, event))
         self._news.append(event)
 
     def refuse(self, event: Event, reason: str) -> None:
@@ -211,7 +210,6 @@ class Cell:
 
         self.tick = 0
         self.exposed: tuple[Array, tuple[Body, ...]] | None = None
-        self.log: list[tuple[int, Event]] = []
         self.history: deque[Snapshot] = deque(maxlen=round(HISTORY_S * rates.control_hz))
         self._news: list[Event] = []
         self._refusals: list[tuple[Event, str]] = []

@@ -54,7 +54,7 @@ def folder(tmp_path_factory):
     config, hands = cell.config, Hands(inbox)
     run(cell, pace.FreeRun(7), inbox, [table, log, hands], until=10**9, stopped=lambda: hands.steps >= 2500)
     folder = tmp_path_factory.mktemp("session")
-    write(folder, config, {"scenario": "free", "device": "cpu", **versions()}, table.columns(), log.entries)
+    write(folder, config, {"scenario": "free", "device": "cpu", **versions()}, table.columns(), log.lines())
     return folder
 
 

@@ -83,11 +83,16 @@ def test_a_reset_is_a_fresh_start():
 def test_a_reset_replays_the_script_from_its_very_beginning(tmp_path):
     file = tmp_path / "early.toml"
     file.write_text('duration = 1\n[[event]]\nt = 0\ntype = "MoveObstacle"\nname = "ball"\nposition = [0.0, 0.6, 0.3]\n')
-    cell, inbox = Cell(), Inbox(load(file))
-    run(cell, FreeRun(), inbox, [], until=20)
+    cell, inbox, events = Cell(), Inbox(load(file)), []
+
+    class Watch:
+        def on_step(self, s: Snapshot) -> None:
+            events.extend(map(type, s.events))
+
+    run(cell, FreeRun(), inbox, [Watch()], until=20)
     inbox.put(Reset())
-    run(cell, FreeRun(7), inbox, [], until=27)
-    assert [type(event) for _, event in cell.log] == [Reset, MoveObstacle]
+    run(cell, FreeRun(7), inbox, [Watch()], until=27)
+    assert events == [MoveObstacle, Reset, MoveObstacle]
     assert any(body.present for body in cell.step().bodies)
 
 
@@ -117,7 +122,6 @@ def test_a_live_parameter_reaches_the_part_that_uses_it():
     cell.apply(SetParameter("control.f_abort", 33.0))
     cell.apply(SetParameter("push.stiffness", 400.0))
     assert cell.config.control.f_abort == 33.0
-    assert cell.log[-1][1] == SetParameter("push.stiffness", 400.0)
     point = (0.0, 0.0, -0.07)
     cell.step()
     here = cell._robot.point(3, np.array(point))
