@@ -18,6 +18,8 @@ SETTLED = 600.0
 """Memory counts from here on [s], or from a third of a shorter time."""
 GROWTH, FACTOR = 0.03, 0.97
 """The most that memory may grow by, and the least real-time factor."""
+ACTS = ("join", "push")
+"""What visitors must have managed, or nothing was tried."""
 SPARE = 2
 """Descriptors and threads that the end may have more than the beginning: whoever is just there has some."""
 
@@ -104,6 +106,7 @@ def faults(found: dict[str, Any], errors: Sequence[str]) -> list[str]:
             told.append(f"{name} grew from {before:.0f} to {after:.0f}")
     if found["real_time_factor"] < FACTOR:
         told.append(f"the real-time factor is {found['real_time_factor']:.3f}, of {FACTOR} at least")
+    told += [f"no visitor managed to {act}" for act in ACTS if not found["done"].get(act)]
     if found["recording"]["trouble"]:
         told.append(f"recording: {found['recording']['trouble']}")
     return [*told, *(f"error: {error}" for error in errors)]

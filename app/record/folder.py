@@ -130,6 +130,8 @@ def files(folder: Path) -> list[Path]:
 
 def read(folder: Path) -> Session:
     """The session again. Raises SessionError for what is no folder of a run, and for one of another version."""
+    if not folder.is_dir():
+        raise SessionError(f"there is no folder {folder}")
     for name in (MARK, EVENTS, SIGNALS):
         if not (folder / name).is_file():
             raise SessionError(f"{folder} is not the folder of a run: it has no {name}")

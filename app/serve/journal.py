@@ -1,6 +1,7 @@
 """The log of the page: events, changes of mode and refusals, newest first, in words."""
 
 import math
+import threading
 from collections import deque
 from collections.abc import Callable
 from html import escape
@@ -20,6 +21,7 @@ class Journal:
 
     def __init__(self, now: Callable[[], float]) -> None:
         self._now = now
+        self._lock = threading.Lock()  # the publisher writes and reads, and so do callbacks of the sockets
         self._lines: deque[tuple[float, str, str]] = deque(maxlen=LENGTH)
         self._last: tuple[object, ...] = ()
 
@@ -43,15 +45,17 @@ class Journal:
         self._append(self._now(), "refused", why, (why,))
 
     def _append(self, time: float, style: str, text: str, kind: tuple[object, ...]) -> None:
-        if kind == self._last:
-            self._lines.pop()
-        self._last = kind
-        self._lines.append((time, style, text))
+        with self._lock:
+            if kind == self._last:
+                self._lines.pop()
+            self._last = kind
+            self._lines.append((time, style, text))
 
     def html(self) -> str:
         """The log as HTML; everything from outside is escaped."""
-        lines = (f'<div class="{style}"><time>{time:.2f} s</time><span>{escape(text)}</span></div>'
-                 for time, style, text in reversed(self._lines))
+        with self._lock:
+            shown = tuple(reversed(self._lines))
+        lines = (f'<div class="{style}"><time>{time:.2f} s</time><span>{escape(text)}</span></div>' for time, style, text in shown)
         return f'<div class="eb-log">{"".join(lines)}</div>'
 
 

@@ -19,6 +19,7 @@ from app.serve.distances import DistanceView
 from app.serve.forces import ForceView
 from app.serve.guard import Guard
 from app.serve.hands import Hands
+from app.serve.heap import Holes
 from app.serve.icons import opened_once
 from app.serve.journal import Journal
 from app.serve.mailbox import Mailbox
@@ -101,12 +102,14 @@ class Page:
         screen = Screen(view, forces, cameras, distances, obstacles, steering, panel, signals, tuning, demo, Selection(view),
                         self.journal)
         self._publisher = Publisher(self.server, self.session, mailbox, screen, config)
+        self._holes = Holes()
 
     def start(self) -> None:
         """Publish, and start the cell; returns at once."""
         self._switched = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH)
         self._publisher.start()
+        self._holes.start()
         self.session.start(self._scenario)
 
     def close(self) -> None:
@@ -114,6 +117,7 @@ class Page:
         self._hands.close()
         self.session.close()
         self._publisher.close()
+        self._holes.close()
         self.recordings.close()
         sys.setswitchinterval(self._switched)
         with contextlib.redirect_stdout(io.StringIO()):  # viser announces its end on stdout

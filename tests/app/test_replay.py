@@ -1,5 +1,6 @@
 """A session runs again, bit for bit, from its config, seed and events alone; and with other parameters it is looked at anew."""
 
+import dataclasses
 import json
 import shutil
 
@@ -19,7 +20,7 @@ from hrc.cell.cell import Cell
 from hrc.cell.run import Inbox, run
 from hrc.config import PRESETS, harsh
 from hrc.errors import ConfigError
-from hrc.events import MoveObstacle, Press, Pull, Push, Release, RemoveObstacle, Reset, Resume, SetParameter, Stop
+from hrc.events import MoveObstacle, Press, Pull, Push, Release, RemoveObstacle, Reset, Resume, SetParameter, Stop, from_dict
 from hrc.messages import Truth
 from hrc.parameters import assembled, keys
 from hrc.sim.robot import SimulatedRobot
@@ -72,6 +73,27 @@ def test_the_log_says_when_and_why_not(folder):
     resets = [i for i, line in enumerate(lines) if line["event"]["type"] == "Reset"]
     assert [lines[i]["tick"] for i in resets] == [1301, 806], "the ticks that were left behind"
     assert lines[resets[0] + 1] == {"tick": 0, "event": lines[resets[0] + 1]["event"]}
+
+
+def test_an_hour_of_dragging_is_kept_whole_in_little_memory():
+    """As many events as twenty a second make in half a minute, of which one in nine is refused; a copy goes on by itself."""
+    snapshot, whole = Cell().step(), EventLog()
+    half = None
+    for i in range(600):
+        if i == 301:
+            half = EventLog(whole)
+        pull = Pull(6, POINT, (-0.4, 0.3, 0.5 + i / 7000))
+        fields = {"refused": ((pull, 'not "refused" here'),)} if i % 9 == 0 else {"events": (pull,)}
+        for log in filter(None, (whole, half)):
+            log.on_step(dataclasses.replace(snapshot, tick=50 * i + 1, **fields))
+    assert half is not None
+    assert half.lines() == whole.lines()
+    values = [json.loads(line) for line in whole.lines()]
+    assert [value["tick"] for value in values] == [50 * i for i in range(600)]
+    assert [from_dict(value["event"]).target[2] for value in values] == [0.5 + i / 7000 for i in range(600)]
+    assert (whole.taken, whole.refused) == (533, 67)
+    assert whole.refusals() == ['Pull: not "refused" here'] * 67
+    assert sum(map(len, whole._packed)) < 60 * 600
 
 
 def copied(folder, tmp_path):

@@ -21,7 +21,7 @@ def run(minutes: int, **growth: float) -> list[Sample]:
 
 
 def judged(samples: list[Sample], *errors: str) -> list[str]:
-    return faults({**summary(samples), "recording": {"trouble": ""}}, errors)
+    return faults({**summary(samples), "recording": {"trouble": ""}, "done": {"join": 3, "push": 1}}, errors)
 
 
 def test_a_calm_run_has_no_faults() -> None:
@@ -44,6 +44,11 @@ def test_memory_that_grows_only_at_first_is_forgiven() -> None:
 def test_lost_time_and_errors_are_faults() -> None:
     samples = [replace(sample, factor=0.9) for sample in run(10)]
     assert judged(samples, "log: x") == ["the real-time factor is 0.900, of 0.97 at least", "error: log: x"]
+
+
+def test_a_soak_that_nobody_came_to_is_none() -> None:
+    found = {**summary(run(10)), "recording": {"trouble": ""}, "done": {"join": 3}}
+    assert faults(found, ()) == ["no visitor managed to push"]
 
 
 def test_tracebacks_and_logged_errors_are_collected(capsys: pytest.CaptureFixture[str]) -> None:
