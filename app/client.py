@@ -185,7 +185,10 @@ class Client:
         raise KeyError("banner")
 
     def seat(self) -> dict[str, str]:
-        """What this visitor is told about who drives: role, visitor, operator, asking. Raises KeyError before that."""
+        """What this visitor is told about who drives: role, visitor, operator, asking; and trip, of its line [ms].
+
+        Raises KeyError before that.
+        """
         for widget in list(self.gui.values()):
             content = str(widget.get("props", {}).get("content", ""))
             if 'id="eb-seat"' in content:

@@ -7,17 +7,20 @@ from html import escape
 
 from app.serve.session import Phase, Session
 from hrc.config import Config
+from hrc.control.reaction import ReactionConfig
 from hrc.geometry import Array
 from hrc.messages import LINKS, Contact, Mode, Snapshot
 
 STALE = '<div class="eb-stale">NO CONNECTION TO THE SERVER: WHAT YOU SEE IS OLD</div>'
+HUNG, SILENT = "not responding", 1.5
+"""What the banner says when the cell's thread has not come round for so long [s]."""
 NEAR = 0.005
 """The end effector is at its target when it is this near [m]."""
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What the banner says. mode: of the arm, or of the session while there is no arm. force, truth: |F| [N].
+    """What the banner says. mode: of the arm, or of the session while there is no arm that moves. force, truth: |F| [N].
 
     task: its kind; off: of the end effector from the target that it follows [m], if it follows one.
     limit: of the quasi-static force on a region of the body [N]. nearest, clearance: the link that is nearest to an obstacle,
@@ -50,11 +53,13 @@ def facts(session: Session, snapshot: Snapshot | None, config: Config) -> Facts:
     if status.phase is not Phase.RUNNING or snapshot is None:
         mode = status.phase.value if status.phase is not Phase.RUNNING else Phase.STARTING.value
         return Facts(mode, status.text, time=snapshot.time if snapshot else 0.0)
+    if session.silence > SILENT:
+        return Facts(HUNG, f"the cell has not answered for {session.silence:.0f} s; what you see is old", time=snapshot.time)
     contact, command = snapshot.contact, snapshot.command
     nearest = min(snapshot.clearances, key=lambda c: c.distance, default=None)
     return Facts(
         mode=command.mode.value,
-        note=_note(snapshot, session.paused, config.control.abort_distance),
+        note=_note(snapshot, session.paused, config.control),
         link="-" if contact is None else LINKS[contact.link],
         place=_place(contact),
         force=0.0 if contact is None else math.hypot(*contact.F_world),
@@ -136,7 +141,7 @@ def _doing(mode: Mode) -> str:
     return {Mode.RELAX: "gives way", Mode.ABORT: "follows the push"}.get(mode, "goes on")
 
 
-def _note(snapshot: Snapshot, paused: bool, abort_distance: float) -> str:
+def _note(snapshot: Snapshot, paused: bool, control: ReactionConfig) -> str:
     command = snapshot.command
     if command.mode is Mode.STOP:
         return f"{command.reason or 'stopped'}: press Resume to go on"
@@ -150,13 +155,19 @@ def _note(snapshot: Snapshot, paused: bool, abort_distance: float) -> str:
         return f"no camera sees this contact: its place is felt in the joints; the arm {_doing(command.mode)}"
     if command.mode is Mode.RELAX:
         return "giving way; the tool stays on its path"
-    if command.mode is Mode.ABORT and not snapshot.detected and snapshot.clearance <= abort_distance:
-        return f"waiting: an obstacle is {100.0 * snapshot.clearance:.1f} cm away, nearer than {100.0 * abort_distance:.0f} cm"
+    if command.mode is Mode.ABORT and not snapshot.detected and snapshot.clearance <= control.abort_distance:
+        least = 100.0 * control.abort_distance
+        return f"waiting: an obstacle is {100.0 * snapshot.clearance:.1f} cm away, nearer than {least:.0f} cm"
     if command.mode is Mode.ABORT:
         return "task abandoned; following the push"
     if snapshot.aim.goal is not None and snapshot.aim.target is not None:
         return _steered(command.x, snapshot.aim.target, snapshot.aim.goal)
-    return "following the path" if command.path_speed > 0.99 and snapshot.aim.arrived else "going to the path"
+    if snapshot.aim.arrived and control.separation and snapshot.clearance < control.slow_from:
+        held = "standing still" if snapshot.clearance <= control.stand_at else "slower"
+        return f"{held}: an obstacle is {100.0 * snapshot.clearance:.0f} cm away"
+    if snapshot.aim.arrived and command.path_speed > 0.99:
+        return "holding its place" if snapshot.aim.kind == "hold" else "following the path"
+    return "going to the path" if snapshot.aim.kind != "hold" else "going to its place"
 
 
 def _steered(x: Array, target: Array, goal: Array) -> str:

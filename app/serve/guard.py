@@ -4,7 +4,7 @@ viser has no hook for any of this, but it builds its server by `websockets.async
 `process_request` sees every request before it is answered, `create_connection` makes the object whose `recv` hands the
 messages over, and `sock` takes a socket bound beforehand (viser would move on to the next port in silence). So `serve`
 is wrapped while viser's constructor runs. Private names of viser are used in this file, inbound.py, icons.py,
-jpeg.py and wakeup.py only; its version is pinned, and tests/app/test_guard.py is the tripwire.
+jpeg.py, wakeup.py and backlog.py only; its version is pinned, and tests/app/test_guard.py is the tripwire.
 """
 
 import asyncio
@@ -25,7 +25,7 @@ from viser import _messages
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-from app.serve import content, wakeup
+from app.serve import backlog, content, wakeup
 from app.serve.address import LOOPBACK, PageError, bind, hostname, is_loopback, is_number
 from app.serve.inbound import RefusedError, screen, widget_of
 from app.serve.keys import Keys, Role
@@ -79,6 +79,7 @@ class Guard:
             raise PageError(f"other machines can reach {host}: give a --token (or set ELBOWROOM_TOKEN), or use 127.0.0.1")
         listener = bind(host, port)
         wakeup.install()
+        backlog.install()
         stock = websockets_server.serve
 
         def guarded(handler: Any, _host: str, _port: int, **options: Any) -> Any:
@@ -110,8 +111,17 @@ class Guard:
 
     def role(self, visitor: int) -> Role | None:
         """What a connected client may do at most."""
-        connection = self.server._websock_server._live_connections.get(visitor) if self.server is not None else None
-        return connection.role if isinstance(connection, ScreenedConnection) else None
+        connection = self._connection(visitor)
+        return connection.role if connection is not None else None
+
+    def round_trip(self, visitor: int) -> float | None:
+        """To a connected client and back, for the last frame that it took [s]; None before the first."""
+        connection = self._connection(visitor)
+        return connection.round_trip if connection is not None else None
+
+    def _connection(self, visitor: int) -> "ScreenedConnection | None":
+        found = self.server._websock_server._live_connections.get(visitor) if self.server is not None else None
+        return found if isinstance(found, ScreenedConnection) else None
 
     def admits(self, visitor: int, message: dict[str, Any]) -> bool:
         """Whether an acceptable message is this visitor's to send now. Whatever is not named as free is the operator's."""
@@ -179,7 +189,7 @@ class Guard:
 
 class ScreenedConnection(ServerConnection):
     """A WebSocket whose `recv` hands over only messages that pass the table, no faster than the rate allows, and only
-    those that its visitor may send. role: by the token it came with."""
+    those that its visitor may send. role: by the token it came with. round_trip: of the last frame that was taken [s]."""
 
     def __init__(self, guard: Guard, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -189,6 +199,7 @@ class ScreenedConnection(ServerConnection):
         self._strikes, self._struck = 0.0, self._counted
         self._visitor: int | None = None
         self._taken: list[asyncio.Future[float]] = []
+        self.round_trip: float | None = None
 
     async def recv(self, decode: bool | None = None) -> Any:
         """The next acceptable message. Raises ConnectionClosed, as its parent does."""
@@ -249,7 +260,13 @@ class ScreenedConnection(ServerConnection):
         if len(self._taken) >= IN_FLIGHT:
             await self._taken[-IN_FLIGHT]
         await super().send(message, text)
-        self._taken.append(asyncio.ensure_future(await self.ping()))
+        taken = asyncio.ensure_future(await self.ping())
+        taken.add_done_callback(self._measure)
+        self._taken.append(taken)
+
+    def _measure(self, taken: "asyncio.Future[float]") -> None:
+        if not taken.cancelled() and taken.exception() is None:
+            self.round_trip = taken.result()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """The transport is gone, and whoever came by it."""

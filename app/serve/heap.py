@@ -5,6 +5,7 @@ memory in use stayed the same.
 
 import ctypes
 import threading
+from collections.abc import Callable
 
 PERIOD = 30.0
 """Between two times that the holes are given back [s]: 1 to 3 ms, on a thread of its own, without the interpreter's lock."""
@@ -15,20 +16,22 @@ class Holes:
 
     def __init__(self) -> None:
         self._over = threading.Event()
-        self._trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-        self._thread = threading.Thread(target=self._work, name="holes", daemon=True)
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        self._thread: threading.Thread | None = None
+        if trim is not None:
+            self._thread = threading.Thread(target=self._work, args=(trim,), name="holes", daemon=True)
 
     def start(self) -> None:
         """From now on."""
-        if self._trim is not None:
+        if self._thread is not None:
             self._thread.start()
 
     def close(self) -> None:
         """No more."""
         self._over.set()
-        if self._thread.is_alive():
+        if self._thread is not None and self._thread.is_alive():
             self._thread.join()
 
-    def _work(self) -> None:
+    def _work(self, trim: Callable[[ctypes.c_size_t], int]) -> None:
         while not self._over.wait(PERIOD):
-            self._trim(ctypes.c_size_t(0))
+            trim(ctypes.c_size_t(0))

@@ -55,7 +55,8 @@ class Journal:
         """The log as HTML; everything from outside is escaped."""
         with self._lock:
             shown = tuple(reversed(self._lines))
-        lines = (f'<div class="{style}"><time>{time:.2f} s</time><span>{escape(text)}</span></div>' for time, style, text in shown)
+        lines = (f'<div class="{style}"><time>{time:.2f} s</time><span>{escape(text)}</span></div>'
+                 for time, style, text in shown)
         return f'<div class="eb-log">{"".join(lines)}</div>'
 
 

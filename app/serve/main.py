@@ -100,7 +100,7 @@ class Page:
         self.guard.seat.on_left(obstacles.let_go_of)
         self.seat_box = SeatBox(self.guard, self.server, panel.seat, self.journal.tell)
         screen = Screen(view, forces, cameras, distances, obstacles, steering, panel, signals, tuning, demo, Selection(view),
-                        self.journal)
+                        self.journal, self.seat_box)
         self._publisher = Publisher(self.server, self.session, mailbox, screen, config)
         self._holes = Holes()
 

@@ -20,6 +20,7 @@ from app.serve.mailbox import Mailbox
 from app.serve.obstacles import ObstacleControls
 from app.serve.panel import Panel
 from app.serve.scene import SceneView
+from app.serve.seat_box import SeatBox
 from app.serve.selection import Selection
 from app.serve.session import Session
 from app.serve.signals import SignalView
@@ -34,8 +35,8 @@ from hrc.parameters import replaced
 from hrc.scene import load_scene
 
 POSE_HZ = 30
-CLOUD_EVERY, IMAGE_EVERY, PANEL_EVERY, NUMBERS_EVERY, TRAIL_EVERY = 2, 3, 3, 6, 6
-"""In beats of POSE_HZ: cloud 15 Hz, camera images, banner and plot 10 Hz, numbers and tool path 5 Hz."""
+CLOUD_EVERY, IMAGE_EVERY, PANEL_EVERY, NUMBERS_EVERY, TRAIL_EVERY, SEAT_EVERY = 2, 3, 3, 6, 6, 30
+"""In beats of POSE_HZ: cloud 15 Hz, camera images, banner and plot 10 Hz, numbers and tool path 5 Hz, the seat 1 Hz."""
 GAP = 0.02
 """Between two beats, however late they are [s]: viser sends only then, and looks 60 times a second."""
 
@@ -56,6 +57,7 @@ class Screen:
     demo: Demo
     selection: Selection
     journal: Journal
+    seat: SeatBox
 
 
 class Publisher:
@@ -99,6 +101,8 @@ class Publisher:
         if beat % PANEL_EVERY == 0:
             self._screen.panel.update(snapshot)
             self._screen.panel.update_log()
+        if beat % SEAT_EVERY == 0:
+            self._screen.seat.update()
         if snapshot is not None:
             self._screen.demo.update(snapshot)
         if snapshot is not None and watched:

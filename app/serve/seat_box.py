@@ -75,6 +75,16 @@ class SeatBox:
         self._boxes[visitor] = _Box(client, text, take, release, agree, keep)
         self._show()
 
+    def update(self) -> None:
+        """Tell everybody how long the line to him takes."""
+        for visitor, box in list(self._boxes.items()):
+            self._tell(visitor, box)
+
+    def _tell(self, visitor: int, box: _Box) -> None:
+        text = self._text(visitor, may=self._guard.role(visitor) is Role.OPERATOR)
+        if box.text.content != text:
+            box.text.content = text
+
     async def _on_leave(self, client: viser.ClientHandle) -> None:
         box = self._boxes.pop(client.client_id, None)
         if box is not None:
@@ -98,7 +108,7 @@ class SeatBox:
         for visitor, box in list(self._boxes.items()):
             may, mine = self._guard.role(visitor) is Role.OPERATOR, visitor == operator
             asked = mine and asking is not None
-            box.text.content = self._text(visitor, may=may)
+            self._tell(visitor, box)
             box.take.visible = may and not mine
             box.take.disabled = asking is not None
             box.release.visible = mine
@@ -121,9 +131,12 @@ class SeatBox:
                 told += " You have asked to drive."
             elif operator is None:
                 told += " Whoever acts first does."
+        trip = self._guard.round_trip(visitor)
+        took = f"{1000.0 * trip:.0f}" if trip is not None else ""
+        line = f' <span class="eb-trip">Round trip {took} ms.</span>' if took else ""
         return (f'<div id="eb-seat" class="eb-small" data-role="{role}" data-visitor="{visitor}" '
                 f'data-operator="{"" if operator is None else operator}" '
-                f'data-asking="{"" if asking is None else asking}">{told}</div>')
+                f'data-asking="{"" if asking is None else asking}" data-trip="{took}">{told}{line}</div>')
 
 
 def _name(visitor: int) -> str:

@@ -170,7 +170,12 @@ class Session:
     def healthy(self) -> bool:
         """Whether the cell's thread has come round lately, paused or not, and its cell has not failed."""
         patience = {Phase.STARTING: BUILDS, Phase.RUNNING: HANGS}.get(self.status.phase, 0.0)
-        return time.monotonic() - self._alive < patience
+        return self.silence < patience
+
+    @property
+    def silence(self) -> float:
+        """For how long the cell's thread has not come round [s]; it does so a thousand times a second, paused or not."""
+        return time.monotonic() - self._alive
 
     def stages(self) -> Mapping[str, tuple[float, float]]:
         """Of each stage of the cell the time of one run [s], and its part of a core."""

@@ -18,6 +18,7 @@ class SignalView:
     """A panel with the force plot and the camera images, and on a second tab the numbers."""
 
     def __init__(self, server: viser.ViserServer) -> None:
+        self._known: tuple[float, int, float, float] | None = None
         panel = server.gui.add_panel()
         with panel.add_tab("Signals", viser.Icon.CHART_LINE):
             self._plot = server.gui.add_uplot(
@@ -35,8 +36,10 @@ class SignalView:
         panel.set_width(WIDTH)
 
     def update_plot(self, points: Sequence[ForcePoint], f_relax: float, f_abort: float) -> None:
-        """The last half minute, with the thresholds as they are now [N]."""
-        self._plot.data = _columns(points, f_relax, f_abort)
+        """The last half minute, with the thresholds as they are now [N]; nothing is sent while nothing changes."""
+        known = (points[-1].time if points else 0.0, len(points), f_relax, f_abort)
+        if known != self._known:
+            self._known, self._plot.data = known, _columns(points, f_relax, f_abort)
 
 
 def _columns(points: Sequence[ForcePoint], f_relax: float, f_abort: float) -> tuple[np.ndarray, ...]:

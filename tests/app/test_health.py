@@ -64,11 +64,16 @@ def test_health_follows_the_cell_and_tells_nothing_else(monkeypatch: pytest.Monk
         until(lambda: page.session.status.phase is Phase.RUNNING and page.session.factor > 0.0, 60.0)
         assert asked(port)[:2] == (200, b"ok\n")
         assert health.main(url) == 0
+        watcher = VClient(port, path=f"/?token={'w' * 20}")
+        until(lambda: watcher.banner()["mode"] == "idle")
         gate.open.clear()
         until(lambda: asked(port)[:2] == (503, b""))
         assert health.main(url) == 1
+        until(lambda: watcher.banner()["mode"] == "not responding")
+        assert watcher.banner()["factor"] == "0.00"
         gate.open.set()
         until(lambda: asked(port)[0] == 200)
+        until(lambda: watcher.banner()["mode"] == "idle")
         page.session.paused = True
         time.sleep(2.5)
         assert asked(port)[0] == 200, "a cell that is paused is well"

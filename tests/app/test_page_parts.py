@@ -18,7 +18,7 @@ from hrc.cell.cell import Cell
 from hrc.config import Config
 from hrc.events import MoveObstacle, Pull, Reset, SetParameter, Stop
 from hrc.geometry import apply
-from hrc.messages import Clearance, DepthFrame, Mode, Nearest, RobotImage, Snapshot, Truth, View
+from hrc.messages import Aim, Clearance, DepthFrame, Mode, Nearest, RobotImage, Snapshot, Truth, View
 from hrc.vision.camera import Camera, CameraConfig
 
 
@@ -220,6 +220,32 @@ def test_banner_names_the_nearest_link_and_the_cameras_that_are_silent() -> None
     assert "are silent" in two
     assert "<right>" not in two
     assert "no camera delivers images" in banner(replace(known, silent=("camera",)), 1)
+
+
+def test_banner_says_what_the_arm_is_about(snapshot: Snapshot) -> None:
+    session, config = Session(Mailbox(), say=lambda _: None), Config()
+    session.status = Status(Phase.RUNNING)
+    free = replace(snapshot, clearances=(), contact=None, command=replace(snapshot.command, mode=Mode.IDLE, path_speed=1.0),
+                   aim=Aim("hexagon", snapshot.aim.q_d))
+    assert facts(session, free, config).note == "following the path"
+    held = replace(free, aim=replace(free.aim, kind="hold"))
+    assert facts(session, held, config).note == "holding its place"
+    assert facts(session, replace(free, aim=replace(free.aim, arrived=False)), config).note == "going to the path"
+    slow = replace(free, clearances=(clearance(4, 0.2),), command=replace(free.command, path_speed=0.3))
+    apart = config.replace(control=replace(config.control, separation=True, slow_from=0.25, stand_at=0.1))
+    assert facts(session, slow, apart).note == "slower: an obstacle is 20 cm away"
+    assert facts(session, replace(slow, clearances=(clearance(4, 0.09),)), apart).note.startswith("standing still")
+    assert facts(session, slow, config).note == "going to the path", "nothing slows it but where it is"
+
+
+def test_banner_says_when_the_cell_does_not_answer(snapshot: Snapshot) -> None:
+    session, config = Session(Mailbox(), say=lambda _: None), Config()
+    session.status = Status(Phase.RUNNING)
+    assert facts(session, snapshot, config).mode != "not responding"
+    session._alive -= 3.0
+    known = facts(session, snapshot, config)
+    assert (known.mode, known.factor) == ("not responding", 0.0)
+    assert "3 s" in known.note
 
 
 def test_banner_says_what_an_abort_waits_for(snapshot: Snapshot) -> None:

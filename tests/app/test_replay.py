@@ -90,7 +90,7 @@ def test_an_hour_of_dragging_is_kept_whole_in_little_memory():
     assert half.lines() == whole.lines()
     values = [json.loads(line) for line in whole.lines()]
     assert [value["tick"] for value in values] == [50 * i for i in range(600)]
-    assert [from_dict(value["event"]).target[2] for value in values] == [0.5 + i / 7000 for i in range(600)]
+    assert [from_dict(value["event"]) for value in values] == [Pull(6, POINT, (-0.4, 0.3, 0.5 + i / 7000)) for i in range(600)]
     assert (whole.taken, whole.refused) == (533, 67)
     assert whole.refusals() == ['Pull: not "refused" here'] * 67
     assert sum(map(len, whole._packed)) < 60 * 600

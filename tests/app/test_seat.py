@@ -113,6 +113,16 @@ def operator(keyed: Page) -> Iterator[VClient]:
     client.close()
 
 
+def test_every_visitor_is_told_how_long_his_own_line_takes(keyed: Page, operator: VClient) -> None:
+    other = visitor(keyed)
+    try:
+        for client in (operator, other):
+            until(lambda client=client: client.seat()["trip"] != "")
+            assert 0 <= int(client.seat()["trip"]) < 2000
+    finally:
+        other.close()
+
+
 def grab(client: VClient) -> None:
     point = client.position(ELBOW) + np.array([0.06, 0.0, 0.0])
     client.drag(ELBOW, "start", point, point)
