@@ -84,11 +84,27 @@ def unlinked(folder: Path) -> Iterator[Path]:
 
 
 def strip(packages: Path) -> int:
-    """Take the symbols that only a debugger reads out of all shared libraries; the bytes they had."""
+    """Take the symbols that only a debugger reads out of all shared libraries; the bytes they had.
+
+    Of some libraries that were patched for their wheel, strip drops what is to be loaded: those stay as they are.
+    """
     libraries = [path for path in packages.rglob("*.so*") if is_library(path)]
     before = sum(map(size, libraries))
-    subprocess.run(["strip", "--strip-unneeded", *map(str, libraries)], check=True)
+    for path in libraries:
+        bare = path.with_name(f"{path.name}.bare")
+        subprocess.run(["strip", "--strip-unneeded", "-o", str(bare), str(path)], check=True)
+        if loaded(bare) == loaded(path):
+            bare.replace(path)
+        else:
+            bare.unlink()
+            print(f"         {path.name} stays whole")
     return before - sum(map(size, libraries))
+
+
+def loaded(library: Path) -> list[tuple[str, ...]]:
+    """Of each segment that is loaded its address, and its sizes in the file and in memory."""
+    shown = subprocess.run(["readelf", "--segments", "--wide", str(library)], capture_output=True, text=True, check=True).stdout
+    return re.findall(r"^ *LOAD +\w+ +(\w+) +\w+ +(\w+) +(\w+)", shown, re.MULTILINE)
 
 
 def link_twins(packages: Path) -> int:
