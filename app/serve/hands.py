@@ -8,6 +8,7 @@ from typing import Any
 
 import viser
 
+from app.serve.pulse import answers
 from app.serve.scene import SceneView
 from app.serve.session import Session
 from hrc.errors import HrcError
@@ -110,18 +111,9 @@ class Hands:
             grip = self._grip
             if grip is None or time.monotonic() - grip.heard < QUIET:
                 continue
-            if self._answers(grip.client):
+            if answers(self._server, grip.client, PATIENCE):
                 grip.heard = time.monotonic()
             else:
                 self._refuse("the browser that held the arm does not answer: let go")
                 with self._lock:
                     self._let_go(grip)
-
-    def _answers(self, client: viser.ClientHandle) -> bool:
-        try:
-            client.local_storage.get_item("ping", timeout=PATIENCE)
-        except TimeoutError:
-            return False
-        except RuntimeError:  # it left, or answered that it has no storage
-            return client.client_id in self._server.get_clients()
-        return True

@@ -9,6 +9,7 @@ import viser
 
 from app.serve.guard import Guard
 from app.serve.keys import Role
+from app.serve.pulse import answers
 
 ANSWER = 10.0
 """How long an operator may think about somebody's wish to drive before silence counts as consent [s]."""
@@ -36,7 +37,8 @@ class SeatBox:
 
     def __init__(self, guard: Guard, server: viser.ViserServer, folder: viser.GuiFolderHandle, say: Callable[[str], None],
                  answer: float = ANSWER) -> None:
-        self._guard, self._seat, self._folder, self._say, self.answer = guard, guard.seat, folder, say, answer
+        self._guard, self._seat, self._server, self._folder = guard, guard.seat, server, folder
+        self._say, self.answer = say, answer
         self._boxes: dict[int, _Box] = {}
         self._waiting: asyncio.Task[None] | None = None
         self._driving: int | None = None
@@ -93,7 +95,7 @@ class SeatBox:
     async def _await_answer(self, asker: int) -> None:
         """Silence is consent: of an operator that does not answer, and at once of a browser that does not."""
         operator = self._boxes.get(self._seat.operator) if self._seat.operator is not None else None
-        if operator is None or await asyncio.to_thread(_answers, operator.client):
+        if operator is None or await asyncio.to_thread(answers, self._server, operator.client, PING):
             await asyncio.sleep(self.answer)
         self._seat.yield_to(asker)
 
@@ -141,14 +143,3 @@ class SeatBox:
 
 def _name(visitor: int) -> str:
     return f"Visitor {visitor + 1}"
-
-
-def _answers(client: viser.ClientHandle) -> bool:
-    """Whether a browser gives a sign of life."""
-    try:
-        client.local_storage.get_item("ping", timeout=PING)
-    except TimeoutError:
-        return False
-    except RuntimeError:  # it left, or answered that it has no storage: its seat is free, or it is there
-        return True
-    return True
