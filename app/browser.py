@@ -1,7 +1,7 @@
 """A headless Chromium, for measurements, soaks and tests of the page. It draws on the CPU: a floor for its rates."""
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -66,9 +66,10 @@ def launched(*flags: str, aside: bool = False) -> "Iterator[Browser]":
             browser.close()
 
 
-def opened(browser: "Browser", url: str) -> "Page":
-    """A tab with the page loaded and the robot drawn. url: with its token, where there is one."""
+def opened(browser: "Browser", url: str, watch: "Callable[[Page], None]" = lambda _: None) -> "Page":
+    """A tab with the page loaded and the robot drawn. url: with its token, where there is one. watch: sees the tab before."""
     tab = browser.new_context(viewport=VIEWPORT).new_page()
+    watch(tab)
     tab.add_init_script(f"({LATE})()")
     tab.goto(f"{url}{'&' if '?' in url else '?'}{COARSE}", wait_until="commit")
     tab.wait_for_selector("#eb-banner", timeout=60_000)

@@ -187,9 +187,7 @@ def _browsers(stack: contextlib.ExitStack, url: str, number: int, errors: Errors
         return []
     browser, tabs = stack.enter_context(launched(aside=True)), []
     for i in range(number):
-        tab = opened(browser, url)
-        errors.watch(tab, f"browser {i + 1}")
-        tabs.append(tab)
+        tabs.append(opened(browser, url, lambda tab, name=f"browser {i + 1}": errors.watch(tab, name)))
     return tabs
 
 
