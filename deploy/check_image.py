@@ -34,6 +34,7 @@ WATCHED = ("--health-interval", "2s", "--health-timeout", "5s", "--health-retrie
 RECORD = f"""
 from app.client import Client, until
 client = Client({PORT}, path="/?token={TOKEN}")
+assert client.ready.wait(60.0)
 until(lambda: client.banner()["mode"] == "idle", 60.0)
 client.click("Record")
 until(lambda: 'data-recording="true"' in client.text())

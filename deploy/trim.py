@@ -21,7 +21,7 @@ UNUSED = {
     "tests and examples":
         ("*/tests", "numpy/**/tests", "scipy/**/tests", "matplotlib/**/tests", "dask/**/tests", "distributed/**/tests",
          "mujoco/*_test.py", "mujoco/testdata", "pyarrow/_pyarrow_cpp_tests*", "warp/examples",
-         "matplotlib/mpl-data/sample_data"),
+         "matplotlib/mpl-data/sample_data", "tornado/test"),
     "Rerun's program with its viewers; `review` needs it, and recordings are looked at outside": ("rerun_cli",),
     "MuJoCo's windows and its OpenGL, for which an image without graphics has no library":
         ("mujoco/studio", "mujoco/_render_filament*", "mujoco/usd", "OpenGL", "glfw"),
@@ -29,6 +29,8 @@ UNUSED = {
         ("pyarrow/libarrow_flight*", "pyarrow/*_flight*", "pyarrow/libarrow_s3*", "pyarrow/_s3fs*",
          "pyarrow/_gcsfs*", "pyarrow/_azurefs*", "pyarrow/_hdfs*"),
     "fontTools' compiled copies of its Python": ("fontTools/**/*.so",),
+    "Arrow's plans of queries, which come from other programs": ("pyarrow/libarrow_substrait*", "pyarrow/_substrait*"),
+    "Pygments' grammars, but those from P to Python": ("pygments/lexers/[a-oq-z]*.py",),
     "AVIF images": ("PIL/_avif*", "pillow.libs/libavif*"),
 }
 
