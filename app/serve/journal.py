@@ -30,6 +30,8 @@ class Journal:
         if isinstance(note.subject, Mode):
             why = f": {note.reason}" if note.reason else ""
             self._append(note.time, "mode", note.subject.value.upper() + why, (note.subject, note.time))
+        elif isinstance(note.subject, str):
+            self._append(note.time, "refused", note.subject, (note.subject, note.time))
         elif note.refused:
             name = type(note.subject).__name__
             self._append(note.time, "refused", f"{name} refused: {note.refused}", ("refused", *_kind(note.subject)))

@@ -3,6 +3,7 @@
 import math
 import threading
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from hrc.events import Event
@@ -15,10 +16,11 @@ PLOT_POINTS = 300
 
 @dataclass(frozen=True)
 class Note:
-    """Something for the log: an event that was applied, one that was refused (and why), or a new mode (and why)."""
+    """Something for the log: an event that was applied, one that was refused (and why), a new mode (and why), or, as text, what
+    broke the cell."""
 
     time: float
-    subject: Event | Mode
+    subject: Event | Mode | str
     refused: str = ""
     reason: str = ""
 
@@ -67,6 +69,13 @@ class Mailbox:
                 self._restart()
         if snapshot.fresh_control:
             self._feel(snapshot)
+
+    def fail(self, events: Iterable[Event], what: str) -> None:
+        """Note the end of the cell in the step after the latest snapshot. events: those of that step, which it cannot tell."""
+        time = self.latest.time if self.latest is not None else 0.0
+        with self._lock:
+            self._notes.extend(Note(time, event) for event in events)
+            self._notes.append(Note(time, what))
 
     def take_notes(self) -> list[Note]:
         """What happened since the last call."""

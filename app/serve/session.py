@@ -15,6 +15,7 @@ from app.serve.stopwatch import TimedCell
 from hrc.cell import scenario
 from hrc.cell.pace import RealTime
 from hrc.cell.run import Inbox, Observer, run
+from hrc.cell.scenario import Scenario
 from hrc.config import Config
 from hrc.errors import HrcError
 from hrc.events import Event, MoveObstacle, Press, Reset, Resume, Stop
@@ -63,6 +64,19 @@ class _Shield:
             self._say(f"{name} failed ({type(error).__name__}: {error}) and is left out; the cell goes on")
 
 
+class _Inbox(Inbox):
+    """Remembers what it gave out for the step that is being taken: if that step fails, no snapshot tells of it."""
+
+    def __init__(self, script: Scenario, base_hz: int) -> None:
+        super().__init__(script, base_hz)
+        self.given: list[Event] = []
+
+    def take(self, tick: int) -> list[Event]:
+        due = super().take(tick)
+        self.given = due.copy() if tick else self.given + due  # at tick 0 once more in the same step, after a Reset
+        return due
+
+
 class Session:
     """A cell that runs in real time in a thread of its own, one scenario after another.
 
@@ -80,9 +94,10 @@ class Session:
         self._observers = (mailbox, *(_Shield(observer, say) for observer in observers))
         self._settings = dict(settings or {})
         self._wanted: queue.Queue[str | None] = queue.Queue()
-        self._inbox: Inbox | None = None
+        self._lock = threading.Lock()  # what is put, or asked for, belongs to one cell or to the next
+        self._inbox: _Inbox | None = None
+        self._stop: Stop | None = None
         self._pacer = RealTime()
-        self._leave = threading.Event()
         self._alive = time.monotonic()
         self._welcome: tuple[Event, ...] = ()
         self._cell: TimedCell | None = None
@@ -102,25 +117,28 @@ class Session:
 
     def open(self, name: str) -> None:
         """Leave the running cell and start another with this scenario."""
-        self.status = Status(Phase.STARTING, f'starting "{name}"')
-        self._wanted.put(name)
-        self._leave.set()
+        with self._lock:
+            self.status = Status(Phase.STARTING, f'starting "{name}"')
+            self._wanted.put(name)
 
     def close(self) -> None:
         """Stop stepping and end the thread."""
         self._wanted.put(None)
-        self._leave.set()
         self._thread.join(timeout=5.0)
 
     def put(self, event: Event) -> None:
         """An event for the next step. Raises HrcError while no cell runs.
 
+        A Stop for a cell that is still being built waits for it: the arm stands from its first step on.
         For a Stop, Resume or Reset a paused cell takes one control cycle, so that it takes hold at once.
         """
-        inbox = self._inbox
-        if inbox is None or self.config is None or self.status.phase is not Phase.RUNNING:
-            raise HrcError(f"the cell is not running ({self.status.text})")
-        inbox.put(event)
+        with self._lock:
+            if self.status.phase is Phase.STARTING and isinstance(event, Stop):
+                self._stop, self.status = event, Status(Phase.STARTING, "stopped: the arm will stand still until Resume")
+                return
+            if self._inbox is None or self.config is None or self.status.phase is not Phase.RUNNING:
+                raise HrcError(f"the cell is not running ({self.status.text})")
+            self._inbox.put(event)
         if self._pacer.paused and isinstance(event, (Stop, Resume, Reset)):
             self._pacer.step_once(self.config.rates.base_hz // self.config.rates.control_hz)
 
@@ -187,13 +205,14 @@ class Session:
                 self._drive(name)
             except Exception as error:  # whatever broke the cell, the page lives on and says so
                 traceback.print_exc(file=sys.stderr)
-                self.status = Status(Phase.FAILED, f"{type(error).__name__}: {error}. Reset or choose a scenario.")
-                self._say(f"the cell failed ({type(error).__name__}: {error}); the page lives on")
+                what = f"{type(error).__name__}: {error}"
+                self._mailbox.fail(self._inbox.given if self._inbox is not None else (), f"the cell failed ({what})")
+                self.status = Status(Phase.FAILED, f"{what}. Reset or choose a scenario.")
+                self._say(f"the cell failed ({what}); the page lives on")
             self._inbox = None
         self.status = Status(Phase.CLOSED, "the server is closing")
 
     def _drive(self, name: str) -> None:
-        self._leave.clear()
         self._alive = time.monotonic()
         if not self._wanted.empty():  # somebody has already chosen again
             return
@@ -207,15 +226,18 @@ class Session:
         brought = any(isinstance(event, (Press, MoveObstacle)) for _, event in script.events)
         self._welcome = () if brought else (MoveObstacle("ball", HOME["ball"]),)
         base_hz = config.rates.base_hz
-        pacer, inbox = RealTime(base_hz, self._pacer.speed), Inbox(script, base_hz)
-        for event in self._welcome:
-            inbox.put(event)
-        self.config, self._pacer, self._inbox = config, pacer, inbox
-        self.status = Status(Phase.RUNNING)
+        pacer, inbox = RealTime(base_hz, self._pacer.speed), _Inbox(script, base_hz)
+        with self._lock:
+            if not self._wanted.empty():
+                return
+            for event in (*self._welcome, *filter(None, [self._stop])):
+                inbox.put(event)
+            self.config, self._pacer, self._inbox, self._stop = config, pacer, inbox, None
+            self.status = Status(Phase.RUNNING)
         self._say(f'"{name}" is running')
         run(cell, pacer, inbox, self._observers, until=sys.maxsize, stopped=self._stopped)
 
     def _stopped(self) -> bool:
         """Asked each time round."""
         self._alive = time.monotonic()
-        return self._leave.is_set()
+        return not self._wanted.empty()

@@ -1,6 +1,7 @@
 """What becomes of the page when something around it fails: an observer, the clock, the process itself."""
 
 import contextlib
+import queue
 import signal
 import socket
 import subprocess
@@ -15,11 +16,12 @@ import pytest
 from playwright.sync_api import expect
 from vclient import VClient, until
 
+from app.serve.access import Access
 from app.serve.mailbox import Mailbox
 from app.serve.main import Page
 from app.serve.session import Phase, Session
-from hrc.events import Reset
-from hrc.messages import Snapshot
+from hrc.events import Event, Reset, Resume, Stop
+from hrc.messages import Mode, Snapshot
 
 ELBOW = "/robot/link_4"
 
@@ -51,6 +53,84 @@ def test_observer_that_fails_is_left_out_and_the_cell_goes_on(capfd: pytest.Capt
     assert [line for line in said if "left out" in line] == [
         "Broken failed (ValueError: the disk is on fire) and is left out; the cell goes on"]
     assert "the disk is on fire" in capfd.readouterr().err, "with its traceback"
+
+
+class Late(queue.Queue[Any]):
+    """Who puts something in comes back late, when it has long been taken out."""
+
+    def put(self, item: Any, block: bool = True, timeout: float | None = None) -> None:
+        super().put(item, block, timeout)
+        time.sleep(0.3)
+
+
+@pytest.mark.live
+def test_a_cell_that_failed_is_made_anew_however_slow_who_asks_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    mailbox = Mailbox()
+    session = Session(mailbox, say=lambda _: None)
+    monkeypatch.setattr(session, "_wanted", Late())
+    session.start("free")
+    until(lambda: mailbox.latest is not None and mailbox.latest.time > 0.2, 60.0)
+    monkeypatch.setattr(session._cell, "step", None)
+    until(lambda: session.status.phase is Phase.FAILED)
+    session.reset()
+    until(lambda: session.status.phase is Phase.RUNNING and mailbox.latest is not None and mailbox.latest.time > 0.5, 60.0)
+    session.close()
+
+
+@pytest.mark.live
+def test_a_stop_while_the_cell_is_built_finds_the_arm_at_its_first_step() -> None:
+    cycles = list[Snapshot]()
+
+    class Cycles:
+        def on_step(self, snapshot: Snapshot, /) -> None:
+            if snapshot.fresh_control:
+                cycles.append(snapshot)
+
+    session = Session(Mailbox(), say=lambda _: None, observers=(Cycles(),))
+    session.start("free")
+    session.put(Stop())
+    assert "stand still" in session.status.text
+    until(lambda: len(cycles) > 50, 60.0)
+    assert {cycle.command.mode for cycle in cycles} == {Mode.STOP}
+    np.testing.assert_allclose(cycles[-1].state.q, cycles[0].state.q, atol=1e-4)
+    session.put(Resume())
+    until(lambda: cycles[-1].command.mode is Mode.IDLE and np.abs(cycles[-1].state.q - cycles[0].state.q).max() > 0.01)
+    session.close()
+
+
+@pytest.fixture
+def lone() -> Iterator[Page]:
+    """A page of its own, to be broken."""
+    page = Page("free", Access(port=0), say=lambda _: None)
+    page.start()
+    yield page
+    page.close()
+
+
+@pytest.mark.live
+def test_an_exception_in_a_running_cell_stops_it_with_the_last_events_in_the_log(
+        lone: Page, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    client = VClient(lone.server.get_port())
+    until(lambda: client.ready.is_set() and client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.3, 60.0)
+    client.set("F_relax [N]", 9.0)
+    until(lambda: "control.f_relax = 9" in client.text())
+
+    def breaks(event: Event) -> None:
+        raise ZeroDivisionError(f"{type(event).__name__} by zero")
+
+    monkeypatch.setattr(lone.session._cell, "apply", breaks)
+    client.set("Task", "circle")
+    until(lambda: client.banner()["mode"] == "failed")
+    told = ("SetTask by zero. Reset or choose", "task: circle", "the cell failed (ZeroDivisionError", "control.f_relax = 9")
+    until(lambda: all(line in client.text() for line in told))
+    stood, beat = client.banner()["time"], int(client.banner()["beat"])
+    until(lambda: int(client.banner()["beat"]) > beat + 5)
+    assert client.banner()["time"] == stood, "nothing moves"
+    assert "Traceback" in capfd.readouterr().err
+    client.set("Simulation", "Reset")
+    until(lambda: client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.3, 60.0)
+    assert "task: circle" in client.text(), "what had happened is still there to be read"
+    client.close()
 
 
 @pytest.mark.parametrize("jump", [86400.0, -86400.0])
