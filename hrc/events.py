@@ -14,6 +14,8 @@ from hrc.errors import EventError, unknown
 Vector = tuple[float, float, float]
 REACH = 5.0
 """No position in an event lies farther than this from the robot's base [m]."""
+NEAREST_TARGET, UPRIGHT = 0.1, 1e-3
+"""What a camera looks at is at least so far from it, and so far to its side: straight up or down no image is level [m]."""
 
 
 def _text(name: str, value: Any) -> str:
@@ -206,6 +208,25 @@ class SetPosture(Event):
 
     def __post_init__(self) -> None:
         self._set("q", _vector("q", self.q, 2.0 * math.pi, 7))
+
+
+@dataclass(frozen=True, slots=True)
+class MoveCamera(Event):
+    """Move a depth camera: at once it stands at `eye` and looks at `target` [m], in the world, level; Reset puts it back."""
+
+    name: str
+    eye: Vector
+    target: Vector
+
+    def __post_init__(self) -> None:
+        self._set("name", _text("name", self.name))
+        self._set("eye", _vector("eye", self.eye))
+        self._set("target", _vector("target", self.target))
+        x, y, z = (t - e for e, t in zip(self.eye, self.target, strict=True))
+        if math.hypot(x, y, z) < NEAREST_TARGET:
+            raise EventError(f"target must be {NEAREST_TARGET:g} m or more from eye, not {math.hypot(x, y, z):.3g} m")
+        if math.hypot(x, y) < UPRIGHT:
+            raise EventError(f"the camera must not look straight up or down: eye {self.eye}, target {self.target}")
 
 
 @dataclass(frozen=True, slots=True)

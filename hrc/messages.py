@@ -133,7 +133,8 @@ class View:
     """The newest frame of one camera, and what perception made of it.
 
     foreground: the frame without robot and environment. robot_image: the robot in that frame. silent: no frame for so long
-    that this one says nothing about now; before the first frame all three are None.
+    that this one says nothing about now; before the first frame all three are None. T_world_camera (4, 4): where perception
+    takes the camera to have stood at that frame, and without one or while silent, to stand now; None: as configured.
     """
 
     camera: str
@@ -141,6 +142,7 @@ class View:
     foreground: DepthFrame | None = None
     robot_image: RobotImage | None = None
     silent: bool = False
+    T_world_camera: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -7,6 +7,7 @@ import pytest
 
 from hrc.errors import EventError
 from hrc.events import (
+    MoveCamera,
     MoveObstacle,
     Press,
     Pull,
@@ -29,6 +30,7 @@ SOME = [
     RemoveObstacle("ball"),
     Press("hand", 3, (0.0, 0.0, -0.07), (0.0, 2.0, 0.0), 0.1, 0.1, 1.0, 130.0),
     SetParameter("control.f_abort", 30.0),
+    MoveCamera("camera", (0.3, -1.2, 2.0), (-0.3, 0.0, 0.4)),
     Stop(),
     Resume(),
     Reset(),
@@ -56,6 +58,12 @@ def test_a_pressing_direction_has_unit_length():
     ({"type": "Push", "link": 3, "point": [0, 0, 0], "force": [0, 0, 1e6]}, "up to 150"),
     ({"type": "MoveObstacle", "name": "ball", "position": "here"}, "3 numbers"),
     ({"type": "MoveObstacle", "name": "ball", "position": [0, 0, 0], "wxyz": [0, 0, 0, 0]}, "unit quaternion"),
+    ({"type": "MoveCamera", "name": "camera", "eye": [0, 0, 1]}, "lacks target"),
+    ({"type": "MoveCamera", "name": 3, "eye": [0, 0, 1], "target": [1, 0, 1]}, "name must be text"),
+    ({"type": "MoveCamera", "name": "camera", "eye": [0, 0, math.inf], "target": [1, 0, 1]}, "finite"),
+    ({"type": "MoveCamera", "name": "camera", "eye": [0, 0, 1], "target": [6, 0, 1]}, "up to 5"),
+    ({"type": "MoveCamera", "name": "camera", "eye": [0, 0, 1], "target": [0.05, 0, 1.05]}, "0.1 m or more from eye"),
+    ({"type": "MoveCamera", "name": "camera", "eye": [0, 0, 2], "target": [0, 0.0005, 0]}, "straight up or down"),
     ({"type": "Stop", "resaon": "x"}, "did you mean reason"),
 ])
 def test_a_bad_event_says_what_would_have_been_right(values, says):

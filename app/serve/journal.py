@@ -83,6 +83,8 @@ def describe(event: events.Event) -> str:
             return f"task: {kind}"
         case events.MoveTarget(position=(x, y, z)):
             return f"target to ({x:.2f}, {y:.2f}, {z:.2f}) m"
+        case events.MoveCamera(name=name, eye=(x, y, z), target=(u, v, w)):
+            return f"camera {name} to ({x:.2f}, {y:.2f}, {z:.2f}) m, looks at ({u:.2f}, {v:.2f}, {w:.2f}) m"
         case events.SetPosture(q=q):
             return f"posture: {', '.join(f'{math.degrees(angle):.0f}' for angle in q)} deg"
         case events.Stop(reason=reason):

@@ -20,7 +20,8 @@ from hrc.control.posture import Posture
 from hrc.control.reaction import Reaction, Surroundings
 from hrc.control.reference import PathFollower
 from hrc.errors import ConfigError, SensorError
-from hrc.events import Event, MoveTarget, Reset, Resume, SetParameter, SetPosture, SetTask, Stop
+from hrc.events import Event, MoveCamera, MoveTarget, Reset, Resume, SetParameter, SetPosture, SetTask, Stop
+from hrc.geometry import look_at
 from hrc.jacobian import Terms
 from hrc.messages import Body, Command, Contact, Mode, RobotState, Snapshot, Truth
 from hrc.model import Dynamics, perturbed, pinocchio_model
@@ -142,6 +143,8 @@ class Cell:
             self._reaction.stop(event.reason)
         elif isinstance(event, Resume):
             self._reaction.resume()
+        elif isinstance(event, MoveCamera):
+            self._eyes.move(event.name, look_at(event.eye, event.target))
         elif isinstance(event, (SetTask, MoveTarget, SetPosture)):
             self._steering.apply(event, self._state, self._reaction.mode)
         else:

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from hrc.cell.clock import Rate
 from hrc.config import Config
-from hrc.errors import AssetError, ConfigError, SensorError, unknown
-from hrc.messages import Body, Clearance, DepthFrame, Nearest, View
+from hrc.errors import AssetError, ConfigError, EventError, SensorError, unknown
+from hrc.messages import Body, Clearance, DepthFrame, Nearest, View, frozen
 from hrc.scene import CameraSpec, Scene, load_scene
 from hrc.sim.depth_camera import DepthCamera, SensorConfig
 from hrc.sim.push import HAND
@@ -96,6 +96,10 @@ class Sensor(Protocol):
         """Take changed live parameters."""
         ...
 
+    def move(self, T_world_camera: Array, /) -> None:
+        """Stand elsewhere from the next frame on."""
+        ...
+
     def expose(self, tick: int, T_world_link: Array, bodies: Sequence[Body], /) -> bool:
         """Take a frame; whether it will come."""
         ...
@@ -124,17 +128,21 @@ class Eye:
 
     def __init__(self, setup: CameraSetup, scene: Scene, config: Config, device: str, sensor: MakeSensor = simulated) -> None:
         self.name, self._scene, self._device, self._make_sensor = setup.name, scene, device, sensor
+        self._home = Camera(setup.camera).T_world_camera
+        self._stood: Array | None = None  # where the camera was when it took the newest frame; None: as configured
         self._localizer = Localizer(Camera(setup.camera), scene.environment, config.vision, device, name=setup.name)
         self.begin(setup, config, config.seed)
 
     def begin(self, setup: CameraSetup, config: Config, seed: int) -> None:
-        """Start anew: no frame yet, the sensor as in its setup."""
+        """Start anew: no frame yet, the sensor as and where in its setup."""
         self._sensor = self._make_sensor(setup, self._scene, seed, self._device)
         self._rate = Rate(setup.hz, config.rates.base_hz)
-        self._poses: dict[int, tuple[Array, Array]] = {}
+        self._poses: dict[int, tuple[Array, Array, Array | None]] = {}
+        self._stands: Array | None = None  # where the camera was moved to; None: as configured
         self._frame: DepthFrame | None = None
         self._first = np.zeros((8, 4, 4))  # where the robot was when the present image was new
         self._arrived = self._heard = 0
+        self._look_from(None)
         self._localizer.reset()
         self.configure(setup, config)
 
@@ -145,6 +153,17 @@ class Eye:
         self._sensor.configure(setup.sensor)
         self._localizer.configure(config.vision)
 
+    def move(self, T_world_camera: Array) -> None:
+        """Stand elsewhere (4, 4) from the next frame on. Frames on their way are seen from where they were taken."""
+        self._stands = frozen(T_world_camera, (4, 4), "T_world_camera")
+        self._sensor.move(self._stands)
+
+    def _look_from(self, T_world_camera: Array | None) -> None:
+        """Take the frames that follow to be from there."""
+        if T_world_camera is not self._stood:
+            self._localizer.move(self._home if T_world_camera is None else T_world_camera)
+            self._stood = T_world_camera
+
     def due(self, tick: int) -> bool:
         """Whether it takes a frame at this tick."""
         return self._rate.due(tick)
@@ -152,7 +171,7 @@ class Eye:
     def expose(self, tick: int, T_true: Array, bodies: Sequence[Body], T_measured: Array, T_later: Array) -> None:
         """Take a frame of the true scene. T_measured, T_later (8, 4, 4): where the robot says it is, and soon will be."""
         if self._sensor.expose(tick, T_true, bodies):
-            self._poses[tick] = T_measured, T_later
+            self._poses[tick] = T_measured, T_later, self._stands
 
     def receive(self, tick: int) -> bool:
         """Filter the robot out of a frame that has arrived, with its poses at the frame's stamp; whether there was one.
@@ -162,10 +181,11 @@ class Eye:
         frame = self._sensor.latest(tick)
         if frame is None or frame.tick not in self._poses:
             return False
-        T, T_later = self._poses[frame.tick]
+        T, T_later, stood = self._poses[frame.tick]
         self._poses = {t: poses for t, poses in self._poses.items() if t > frame.tick}
         self._arrived = tick
         self._check_news(frame, T)
+        self._look_from(stood)
         self._localizer.filter(frame, T, margins(T, T_later, self._base))
         self._frame, self._heard = frame, frame.tick
         return True
@@ -195,9 +215,11 @@ class Eye:
 
     def view(self, tick: int, *, images: bool) -> View:
         """The newest frame and what was made of it."""
+        silent = self.silent(tick)
+        T = self._stands if silent or self._frame is None else self._stood
         if not images:
-            return View(self.name, self._frame, silent=self.silent(tick))
-        return View(self.name, self._frame, self._localizer.foreground, self._localizer.robot_image, self.silent(tick))
+            return View(self.name, self._frame, silent=silent, T_world_camera=T)
+        return View(self.name, self._frame, self._localizer.foreground, self._localizer.robot_image, silent, T)
 
     def sees(self, p_world: Array) -> bool:
         """Whether a perfect camera in its place would see this point: for the truth, never for the loop."""
@@ -224,6 +246,13 @@ class Eyes:
         """Take changed live parameters."""
         for eye, setup in zip(self._eyes, rig(config, self._scene), strict=True):
             eye.configure(setup, config)
+
+    def move(self, name: str, T_world_camera: Array) -> None:
+        """Let a camera stand elsewhere (4, 4) from its next frame on. Raises EventError if there is none of this name."""
+        eyes = {eye.name: eye for eye in self._eyes}
+        if name not in eyes:
+            raise EventError(unknown("camera", name, eyes))
+        eyes[name].move(T_world_camera)
 
     def due(self, tick: int) -> bool:
         """Whether a camera takes a frame at this tick."""

@@ -61,6 +61,12 @@ class ForeseenCamera:
         self._coming = None
         self._camera.configure(config)
 
+    def move(self, T_world_camera: Array) -> None:
+        """Stand elsewhere; what was rendered from where it stood is dropped."""
+        self._ahead.wait()
+        self._coming = None
+        self._camera.move(T_world_camera)
+
     def expose(self, tick: int, T_world_link: Array, bodies: Sequence[Body]) -> bool:
         """Take a frame; whether it will come. Raises SensorError as the camera does."""
         step, coming = self._step(), self._coming

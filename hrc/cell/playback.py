@@ -12,13 +12,13 @@ from hrc.cell.eyes import CameraSetup, Eyes, Sensor, simulated
 from hrc.cell.foresight import Ahead, ForeseenCamera
 from hrc.config import Config
 from hrc.errors import SensorError
-from hrc.events import Event, MoveTarget, Reset, Resume, SetParameter, SetPosture, SetTask, Stop
+from hrc.events import Event, MoveCamera, MoveTarget, Reset, Resume, SetParameter, SetPosture, SetTask, Stop
 from hrc.messages import Body, DepthFrame, Mode, RobotState, Snapshot, Truth
 from hrc.scene import Scene
 from hrc.sim.depth_camera import SensorConfig
 
 Array = NDArray[np.float64]
-OWN_EVENTS = (Reset, Resume, SetParameter, SetPosture, SetTask, MoveTarget, Stop)
+OWN_EVENTS = (Reset, Resume, SetParameter, SetPosture, SetTask, MoveCamera, MoveTarget, Stop)
 """Events that concern the cell; the others have already had their effect on the robot."""
 Images = Callable[[str, int], NDArray[np.float32]]
 """The depth image [m] (H, W) of a camera, by its name and the step after which it was taken."""
@@ -146,6 +146,9 @@ class RecordedCamera:
     def configure(self, config: SensorConfig) -> None:
         """Take changed live parameters."""
         self._config = config
+
+    def move(self, _T_world_camera: Array) -> None:
+        """Stand elsewhere: so it did when the images were taken."""
 
     def expose(self, tick: int, _T_world_link: Array, _bodies: object) -> bool:
         """Note that there is a frame; whether it will come."""

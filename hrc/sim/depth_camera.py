@@ -52,9 +52,9 @@ class SensorConfig(Parameters):
 class DepthCamera:
     """Renders robot, obstacles and environment from its true pose, spoils the image, and delivers it late.
 
-    camera: as calibrated; the true one, `true_camera`, is off by the config's extrinsic error. bodies: all obstacles that may
-    ever be drawn. latency: frames between exposure and delivery, by default those of the config. Raises DeviceError for an
-    unknown device.
+    camera: as calibrated; the true one, `true_camera`, from which the last frame was taken, is off by the config's extrinsic
+    error. bodies: all obstacles that may ever be drawn. latency: frames between exposure and delivery, by default those of the
+    config. Raises DeviceError for an unknown device.
     """
 
     def __init__(self, camera: Camera, environment: Sequence[FixedBox], bodies: Sequence[BodySpec],
@@ -62,10 +62,11 @@ class DepthCamera:
         self._seed, self._fixed_latency = seed, latency
         self._device = kernels.check_device(device)
         self._slot = {body.name: len(LINKS) + i for i, body in enumerate(bodies)}
+        self._camera, self._environment = camera, environment
         self.true_camera = _disturbed(camera, config or SensorConfig(), seed)
+        self._moved = False
         grid = kernels.grid(camera)
-        fixed = environment_depth(self.true_camera, environment)
-        background = kernels.pack(fixed, np.full(camera.shape, 15), grid)
+        background = _background(self.true_camera, environment)
         surfaces = [*meshes.robot("plant"), *(meshes.shape(body.shape, body.size) for body in bodies)]
         self._raster = kernels.Rasteriser(grid, surfaces, self._device, background=background)
         self._noise = kernels.Noise(grid, self._raster.keys, self._device)
@@ -79,6 +80,13 @@ class DepthCamera:
         n.scale, n.flying, n.dropout = config.noise, config.flying, config.dropout
         n.quantum, n.nearest, n.farthest = config.quantum, config.nearest, config.farthest
         self._graph = kernels.Graph([self._raster.launch, n.launch], self._device)
+
+    def move(self, T_world_camera: Array) -> None:
+        """Stand elsewhere from the next frame on: this is its calibrated pose (4, 4), the true one is off by the same error.
+
+        Frames on their way come as they were taken.
+        """
+        self._camera, self._moved = self._camera.moved(T_world_camera), True
 
     def reset(self) -> None:
         """Forget all frames; the next one is the first again, with the same noise."""
@@ -97,6 +105,9 @@ class DepthCamera:
 
         Raises SensorError for a body that was not given at construction.
         """
+        if self._moved:  # not before: while it is carried about, a frame is taken now and then
+            self.true_camera, self._moved = _disturbed(self._camera, self.config, self._seed), False
+            self._raster.replace_background(_background(self.true_camera, self._environment))
         T_world_mesh = np.zeros((len(LINKS) + len(self._slot), 4, 4))  # zeros: not drawn
         T_world_mesh[: len(LINKS)] = T_world_link
         for body in bodies:
@@ -139,6 +150,11 @@ class DepthCamera:
             return False
         key = kernels.to_image(kernels.read(self._raster.keys), self._raster.grid)[round(float(v)), round(float(u))]
         return bool(key) and abs(kernels.key_depth(key) - float(z)) <= SEEN
+
+
+def _background(camera: Camera, environment: Sequence[FixedBox]) -> NDArray[np.uint32]:
+    """What it sees of the fixed environment, as keys of a raster."""
+    return kernels.pack(environment_depth(camera, environment), np.full(camera.shape, 15), kernels.grid(camera))
 
 
 def _disturbed(camera: Camera, config: SensorConfig, seed: int) -> Camera:

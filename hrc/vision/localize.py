@@ -76,7 +76,6 @@ class Localizer:
         finds. filter_detail: of the meshes that remove the robot, see `meshes.robot`."""
         self.name = name
         self.camera, self._environment, self._rays = camera, environment, camera.rays()
-        self._R, self._eye = camera.T_world_camera[:3, :3], camera.T_world_camera[:3, 3]
         self._device = kernels.check_device(device)
         self._surface = Renderer(camera, meshes.robot("perception"), device)
         self._expanded = Renderer(camera, meshes.robot(filter_detail), device)
@@ -102,12 +101,28 @@ class Localizer:
         self._foreground: DepthFrame | None = None
         self._robot: RobotImage | None = None
 
+    def move(self, T_world_camera: Array) -> None:
+        """The camera stands at another pose (4, 4) in the frames that follow; the last one is forgotten.
+
+        Raises SensorError if the environment was learned from images: they show it from one place alone.
+        """
+        if isinstance(self._environment, np.ndarray):
+            raise SensorError("a camera whose environment was learned from images must stay where it was")
+        self.camera = self.camera.moved(frozen(T_world_camera, (4, 4), "T_world_camera"))
+        for renderer in (self._surface, self._expanded):
+            renderer.move(self.camera)
+        self._mask()
+        self.reset()
+
+    def _mask(self) -> None:
+        self._filter.mask(environment_mask(self.camera, self._environment, self.config.environment_margin))
+
     def configure(self, config: VisionConfig) -> None:
         """Take changed parameters from the next call on."""
         self.config = config
         if self._grown != config.environment_margin:
             self._grown = config.environment_margin
-            self._filter.mask(environment_mask(self.camera, self._environment, self._grown))
+            self._mask()
         paper = config.mode == "paper"
         robot = self._expanded.raster if paper else self._surface.raster
         links = sum(1 << i for i in range(config.first_link, len(LINKS)))
@@ -239,7 +254,8 @@ class Localizer:
         return tuple(self._at(tick, stamp, f, T_world_link[f.link]) for f in found)
 
     def _at(self, tick: int, stamp: int, f: kernels.Found, T_world_link: Array) -> Nearest:
-        p_world = self._R @ (self._rays[f.v, f.u] * f.depth) + self._eye  # Eq. (9)
+        T = self.camera.T_world_camera
+        p_world = T[:3, :3] @ (self._rays[f.v, f.u] * f.depth) + T[:3, 3]  # Eq. (9)
         p_link = (p_world - T_world_link[:3, 3]) @ T_world_link[:3, :3]  # by the inverse of T
         read_only(p_world, p_link)
         return Nearest(tick, stamp, f.link, p_world, p_link, f.distance, (f.u, f.v), self.name, f.sure)

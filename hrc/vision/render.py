@@ -12,6 +12,8 @@ from hrc.vision import kernels
 from hrc.vision.camera import Camera
 
 Vector = tuple[float, float, float]
+ROWS = 32
+"""Of the environment so many rows are drawn at a time: what is made on the way stays in the cache."""
 
 
 class FixedBox(Protocol):
@@ -34,19 +36,24 @@ def environment_depth(camera: Camera, boxes: Sequence[FixedBox], grow: float = 0
     Rays meet boxes in closed form (the slab method), so a floor that runs beneath the camera needs no clipping. A box
     around the camera itself is not seen.
     """
-    rays = np.moveaxis(camera.rays() @ camera.T_world_camera[:3, :3].T, -1, 0)
+    rays = np.ascontiguousarray(np.moveaxis(camera.rays() @ camera.T_world_camera[:3, :3].T, -1, 0))
     eye = camera.T_world_camera[:3, 3]
     depth = np.full(camera.shape, np.inf)
-    for box in boxes:
-        enter, leave = np.full(camera.shape, -np.inf), np.full(camera.shape, np.inf)
-        for axis, ray in enumerate(rays):
-            low, high = box.centre[axis] - box.half[axis] - grow, box.centre[axis] + box.half[axis] + grow
-            with np.errstate(divide="ignore", invalid="ignore"):
-                first, second = (low - eye[axis]) / ray, (high - eye[axis]) / ray
-            # fmin and fmax pass over the 0/0 of a ray within a face: it neither enters nor leaves through that one.
-            enter, leave = np.fmax(enter, np.fmin(first, second)), np.fmin(leave, np.fmax(first, second))
-        depth = np.where((enter <= leave) & (enter > 0), np.minimum(depth, enter), depth)
+    for top in range(0, len(depth), ROWS):
+        for box in boxes:
+            _draw_box(depth[top : top + ROWS], rays[:, top : top + ROWS], eye, box, grow)
     return depth
+
+
+def _draw_box(depth: Array, rays: Array, eye: Array, box: FixedBox, grow: float) -> None:
+    enter, leave = np.full(depth.shape, -np.inf), np.full(depth.shape, np.inf)
+    for axis, ray in enumerate(rays):
+        low, high = box.centre[axis] - box.half[axis] - grow, box.centre[axis] + box.half[axis] + grow
+        with np.errstate(divide="ignore", invalid="ignore"):
+            first, second = (low - eye[axis]) / ray, (high - eye[axis]) / ray
+        # fmin and fmax pass over the 0/0 of a ray within a face: it neither enters nor leaves through that one.
+        enter, leave = np.fmax(enter, np.fmin(first, second)), np.fmin(leave, np.fmax(first, second))
+    np.minimum(depth, enter, out=depth, where=(enter <= leave) & (enter > 0))
 
 
 class Renderer:
@@ -59,6 +66,10 @@ class Renderer:
         self.camera, self._device = camera, kernels.check_device(device)
         self.raster = kernels.Rasteriser(kernels.grid(camera), meshes, self._device)
         self._graph = kernels.Graph([self.raster.launch], self._device)
+
+    def move(self, camera: Camera) -> None:
+        """See with this camera from the next `place` on; it differs in nothing but its pose."""
+        self.camera = camera
 
     def place(self, T_world_link: Array) -> None:
         """Move the links to these poses (n, 4, 4)."""

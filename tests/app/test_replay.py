@@ -20,7 +20,20 @@ from hrc.cell.cell import Cell
 from hrc.cell.run import Inbox, run
 from hrc.config import PRESETS, harsh
 from hrc.errors import ConfigError
-from hrc.events import MoveObstacle, Press, Pull, Push, Release, RemoveObstacle, Reset, Resume, SetParameter, Stop, from_dict
+from hrc.events import (
+    MoveCamera,
+    MoveObstacle,
+    Press,
+    Pull,
+    Push,
+    Release,
+    RemoveObstacle,
+    Reset,
+    Resume,
+    SetParameter,
+    Stop,
+    from_dict,
+)
 from hrc.messages import Truth
 from hrc.parameters import assembled, keys
 from hrc.sim.robot import SimulatedRobot
@@ -30,8 +43,10 @@ PRESS = Press("hand", 3, (0.0, 0.0, -0.07), (0.0, 1.0, 0.0), speed=0.3, depth=0.
 HANDS_ON = {  # by the number of ticks since the session began: at two Resets the cell's own ticks begin anew
     30: [SetParameter("control.f_relax", 6.5), SetParameter("vision.margin", 0.02), MoveObstacle("ball", (-0.5, 0.4, 0.5))],
     100: [PRESS], 333: [RemoveObstacle("nobody"), SetParameter("control.no_such", 1.0)],
+    650: [MoveCamera("camera", (-0.4, 1.9, 0.9), (-0.3, 0.0, 0.4))],
     700: [Stop("enough"), Resume()], 1301: [SetParameter("push.cap", 40.0), Pull(6, POINT, (-0.4, 0.3, 0.5)), Reset(), PRESS],
-    1302: [SetParameter("sensor.noise", 2.0)], 1650: [Pull(5, POINT, (-0.6, 0.4, 0.7))],
+    1302: [SetParameter("sensor.noise", 2.0), MoveCamera("camera", (0.3, -1.2, 2.0), (-0.3, 0.0, 0.4))],
+    1650: [Pull(5, POINT, (-0.6, 0.4, 0.7))],
     1777: [Pull(5, POINT, (-0.6, 0.5, 0.7))],
     1900: [Release(), Push(4, POINT, (0.0, 25.0, 0.0))], 2107: [Reset(), Reset()], 2200: [Push(6, POINT, (0.0, 0.0, -20.0))]}
 

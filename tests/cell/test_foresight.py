@@ -10,6 +10,7 @@ from hrc.cell.clock import Rate
 from hrc.cell.eyes import rig, simulated
 from hrc.cell.foresight import Ahead, ForeseenCamera
 from hrc.errors import SensorError
+from hrc.geometry import look_at
 from hrc.messages import Body
 from hrc.scene import load_scene
 from hrc.sim.depth_camera import DepthCamera
@@ -42,14 +43,17 @@ def pair(scenes):
     return simulated(setup, scene, 3, "cpu"), ahead, now, setup.sensor
 
 
-def frames(pair, scenes, steps, changes=None):
-    """Pairs of what both have delivered after each step; changes: of the sensor, by step."""
+def frames(pair, scenes, steps, changes=None, moves=None):
+    """Pairs of what both have delivered after each step; changes: of the sensor, by step; moves: where it is carried."""
     plain, ahead, now, sensor = pair
     for step in steps:
         if changes and step in changes:
             sensor = sensor.replace(**changes[step])
             plain.configure(sensor)
             ahead.configure(sensor)
+        if moves and step in moves:
+            plain.move(moves[step])
+            ahead.move(moves[step])
         now[0] = step
         assert plain.expose(step, *scenes[step]) == ahead.expose(step, *scenes[step])
         yield plain.latest(step), ahead.latest(step)
@@ -81,6 +85,14 @@ def test_changes_of_the_sensor_take_hold_at_the_same_frame(pair, scenes):
     assert all(same(a, b) for a, b in found)
     assert found[5][0] is None
     assert found[11][0] is not None
+
+
+def test_a_camera_that_is_moved_takes_its_next_frame_from_there(pair, scenes):
+    moves = {STEPS[4]: look_at((-0.4, 1.9, 0.9), (-0.3, 0.0, 0.4)), STEPS[8]: look_at((0.3, -1.2, 2.0), (-0.3, 0.0, 0.4))}
+    found = list(frames(pair, scenes, STEPS, moves=moves))
+    assert all(same(a, b) for a, b in found)
+    kinds = [np.isfinite(a.depth).sum() // 1000 for a, _ in found if a is not None]
+    assert len({*kinds}) > 2, "it does see another room"
 
 
 def test_another_step_than_the_one_foreseen_is_rendered_when_it_comes(pair, scenes):

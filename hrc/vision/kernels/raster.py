@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hrc.errors import AssetError
 from hrc.vision.kernels import native, native_raster
-from hrc.vision.kernels.runtime import Mirror, everywhere, read, tiles_per_thread, upload, zeros
+from hrc.vision.kernels.runtime import Mirror, everywhere, read, tiles_per_thread, upload, write, zeros
 from hrc.vision.kernels.types import (
     MODULE,
     NEAR,
@@ -156,6 +156,11 @@ class Rasteriser:
     def place(self, T_camera_mesh: np.ndarray) -> None:
         """Put the meshes at these poses (n, 4, 4) from the next launch on; all zeros: this mesh is not drawn."""
         self._poses.write(T_camera_mesh)
+
+    def replace_background(self, keys: np.ndarray) -> None:
+        """Start from these flat keys from the next launch on; there must have been some from the beginning."""
+        write(self._background, keys)
+        write(self._drawn, np.array([0, 0, self.grid.tiles_x, self.grid.tiles_y], np.int32))
 
     def expand(self, margins: ArrayLike) -> None:
         """Move every vertex out along its normal, by one margin [m] or by one for each mesh (n,), from the next launch on."""
