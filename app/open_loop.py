@@ -75,13 +75,14 @@ def execute(job: Job) -> Replay:
     Raises ConfigError for a parameter that there is not or that cannot change, SessionError for what is no session or does not
     come out again on this machine, OutputError for a folder that cannot be written.
     """
+    if job.out is not None:
+        output.apart(job.out, job.folder)
+        output.check(job.out, overwrite=job.overwrite)
     session = opened(job.folder)
     changes = dict(map(settings.parse, job.settings))
     config = session.config
     for key, value in changes.items():
         config = replaced(config, free(key, keys(config)), value)
-    if job.out is not None:
-        output.check(job.out, overwrite=job.overwrite)
     device = job.device or session.about.get("device", "cpu")
     check_device(device)
     tape = _tape(session, device)

@@ -34,9 +34,17 @@ def check(out: Path, *, overwrite: bool = False) -> None:
         raise OutputError(f"{out} is not the folder of an earlier run (no {MARK} in it), so it is not overwritten")
 
 
+def apart(out: Path, source: Path) -> None:
+    """Raise OutputError if to write `out` would touch the folder that it is made of."""
+    source = source.resolve()
+    for path in (out.resolve(), partial(out.resolve())):
+        if path == source or path in source.parents or source in path.parents:
+            raise OutputError(f"{out} is not apart from {source}, of which it is to be made; name another output folder")
+
+
 @contextmanager
 def claimed(path: Path) -> Iterator[None]:
-    """Have a folder to oneself; the system gives it back when the process ends, however that happens.
+    """Have a folder or a file to oneself; the system gives it back when the process ends, however that happens.
 
     Raises OutputError if somebody else has it.
     """

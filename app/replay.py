@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from app.headless import versions
 from app.record.folder import Session, SessionError, read
-from app.record.recover import recover
+from app.record.recover import mended
 from app.record.signals import Columns, SignalTable
 from hrc.cell.cell import Cell
 from hrc.cell.pace import FreeRun
@@ -48,11 +48,11 @@ def exact(folder: Path, device: str | None = None) -> tuple[str, bool]:
 
 
 def opened(folder: Path) -> Session:
-    """The session of a folder; one that was killed is completed first, and that is said.
+    """The session of a folder; one that was killed is completed and mended first, and that is said.
 
     Raises SessionError, also for a folder that an open-loop replay has written, and OutputError for one that is not finished.
     """
-    recover(folder, lambda line: print(line, file=sys.stderr))
+    mended(folder)
     session = read(folder)
     if OPEN_LOOP in session.about:
         raise SessionError(f"{folder} is a replay, not a run; the run is {session.about[OPEN_LOOP]}")

@@ -2,7 +2,6 @@
 
 import base64
 import os
-import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -12,7 +11,7 @@ from typing import Any
 from app import gates, metrics
 from app.output import OutputError
 from app.record.folder import Session, SessionError, read
-from app.record.recover import recover
+from app.record.recover import mended
 from app.report import figure
 from hrc.config import Config
 from hrc.parameters import keys
@@ -39,7 +38,7 @@ def write(folders: Sequence[Path], out: Path, *, overwrite: bool = False) -> Non
     if out.is_dir() or (out.exists() and not overwrite):
         raise OutputError(f"{out} exists; choose another, or replace it with --overwrite")
     for folder in folders:
-        recover(folder, lambda line: print(line, file=sys.stderr))
+        mended(folder)
     sessions = [read(folder) for folder in folders]
     text = page(sessions)
     try:

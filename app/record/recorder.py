@@ -16,6 +16,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from app import output
 from app.record.repair import RepairError, repair
 from app.record.signals import AT, WIDTH, row
 from app.record.writer import SessionWriter
@@ -114,11 +115,14 @@ class Recorder:
         """Images handed to the worker, and done with by it: each is counted by one thread alone."""
         self._wake, self._closing = threading.Event(), False
         self._failure: Exception | None = None
-        _claim(path)
+        self._own = contextlib.ExitStack()
+        """Locks on the files, which a repair would cut."""
+        self._claim(path)
         try:
             self._writer = SessionWriter(path, tick_ns=1_000_000_000 // base_hz, scene=scene, cameras=cameras,
                                          parameters=parameters, about=about, footer=footer)
         except (OSError, RuntimeError) as error:
+            self._own.close()
             raise RecordingError(f"cannot record to {path}: {error}") from None
         self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._worker.start()
@@ -141,6 +145,7 @@ class Recorder:
         self._worker.join()
         if not self.stopped:
             self._finish()
+        self._own.close()
         if self.stopped:
             raise RecordingError(f"the recording ends early: {self.stopped}")
         if self._failure:
@@ -277,9 +282,18 @@ class Recorder:
     def _go_on_in_another_file(self, tick: int) -> None:
         first = self.paths[0]
         path = first.with_name(f"{first.stem}_{len(self.paths) + 1}{first.suffix}")
-        _claim(path)
+        self._claim(path)
         self.paths.append(path)
         self._writer.turn_over(path, tick)
+
+    def _claim(self, path: Path) -> None:
+        try:
+            path.touch(exist_ok=False)
+            self._own.enter_context(output.claimed(path))
+        except FileExistsError:
+            raise RecordingError(f"{path} exists; it may be another recorder's, so choose another name") from None
+        except OSError as error:
+            raise RecordingError(f"cannot record to {path}: {error.strerror}") from None
 
     def _finish(self) -> None:
         try:
@@ -314,15 +328,6 @@ class _Clock:
             self.offset += self._last
         self._last = snapshot.tick
         return snapshot.tick + self.offset
-
-
-def _claim(path: Path) -> None:
-    try:
-        path.touch(exist_ok=False)
-    except FileExistsError:
-        raise RecordingError(f"{path} exists; it may be another recorder's, so choose another name") from None
-    except OSError as error:
-        raise RecordingError(f"cannot record to {path}: {error.strerror}") from None
 
 
 def _text(event: Any) -> str:

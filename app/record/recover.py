@@ -1,12 +1,13 @@
 """What a killed process has left of a session, put in order: signals and figures completed, recordings repaired."""
 
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 from app import metrics, output
 from app.record.folder import METRICS, SIGNALS, files, write_json
-from app.record.repair import repair
+from app.record.repair import RepairError, look, repair
 from app.record.signals import Columns
 from app.record.spool import ROWS, finish
 
@@ -50,18 +51,35 @@ def recover(folder: Path, say: Say) -> None:
 def mend(path: Path, say: Say) -> None:
     """The same, and cut what a recording has after its last whole message. path: a session's folder, or a recording alone.
 
-    Raises what `recover` does, and RepairError for a recording that is none.
+    Raises what `recover` does, also for a recording alone, and RepairError for one that is none.
     """
     if not path.is_file():
         recover(path, say)
-    if not path.is_dir():
-        _repair(path, say)
-    elif recordings := files(path):
-        with output.claimed(path):
-            for recording in recordings:
-                _repair(recording, say)
+    for number, recording in enumerate(files(path) if path.is_dir() else [path]):
+        _repair(recording, say, later=number > 0)
 
 
-def _repair(path: Path, say: Say) -> None:
-    if (found := repair(path)).torn:
-        say(f"{path} was not written to the end: cut its last {found.torn} of {found.size} bytes")
+def mended(folder: Path) -> None:
+    """The same, said on stderr, for those who read the signals: a recording beyond repair is said, too, and does not stop them."""
+    def say(line: str) -> None:
+        print(line, file=sys.stderr)
+
+    try:
+        mend(folder, say)
+    except RepairError as error:
+        if folder.is_dir():
+            say(str(error))
+
+
+def _repair(path: Path, say: Say, *, later: bool = False) -> None:
+    """later: the session goes on in it; killed right there, it may hold nothing yet."""
+    found = look(path)
+    if found.messages and not found.torn:
+        return
+    with output.claimed(path):
+        if later and not found.messages:
+            path.unlink()
+            say(f"{path} had nothing in it yet: removed")
+        else:
+            found = repair(path)
+            say(f"{path} was not written to the end: cut its last {found.torn} of {found.size} bytes")

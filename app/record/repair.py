@@ -49,9 +49,9 @@ def look(path: Path) -> Found:
 
 
 def _walk(path: Path, file: BinaryIO, size: int) -> Found:
-    if file.read(len(_MAGIC)) != _MAGIC or size < _HEADER:
+    if (head := file.read(_HEADER))[: len(_MAGIC)] != _MAGIC[: len(head)]:
         raise RepairError(f"{path} is no recording: a .rrd file of this version begins with {_MAGIC.decode()}")
-    messages, end = 0, _HEADER
+    messages, end = 0, min(_HEADER, size)
     while end + _MESSAGE.size <= size:
         file.seek(end)
         kind, length = _MESSAGE.unpack(file.read(_MESSAGE.size))

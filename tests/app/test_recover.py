@@ -1,5 +1,6 @@
 """A session outlives the process that recorded it: what a kill leaves is completed, runs again bit for bit, lacks little."""
 
+import contextlib
 import json
 import shutil
 import signal
@@ -14,6 +15,7 @@ import pytest
 
 pytest.importorskip("rerun")
 
+from test_repair import recorder_of
 from vclient import VClient, until
 
 from app import output
@@ -30,6 +32,7 @@ from hrc.cell import pace, scenario
 from hrc.cell.cell import Cell
 from hrc.cell.run import Inbox, run
 
+pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")
 ROOT = Path(__file__).parents[2]
 LOST = 0.5
 """What a kill may cost [s]."""
@@ -132,3 +135,62 @@ def test_what_was_killed_before_it_began_is_said(spooled, tmp_path):
     with pytest.raises(SessionError, match="before anything"):
         recover(folder, print)
     np.testing.assert_equal((folder / "signals.parquet").exists(), False)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recorded") / "whole"
+    execute(Job("push", folder, duration=1.0, depth="none", quiet=True))
+    return folder
+
+
+@pytest.fixture
+def torn(whole, tmp_path):
+    """A session whose recording ends in the middle of a message."""
+    folder = shutil.copytree(whole, tmp_path / "torn")
+    recording = folder / "session.rrd"
+    recording.write_bytes(recording.read_bytes()[: look(recording).end - 10])
+    return folder
+
+
+@pytest.mark.parametrize("command", [
+    ("replay", "--set", "control.f_relax=12"), ("replay", "--exact"), ("report", "--out", "report.html"),
+    ("export", "--out", "session.mcap")], ids=" ".join)
+def test_whatever_reads_a_session_mends_its_recording(torn, tmp_path, monkeypatch, capsys, command):
+    monkeypatch.chdir(tmp_path)
+    if command[0] == "export":
+        pytest.importorskip("mcap")
+    with contextlib.suppress(SystemExit):
+        main([command[0], str(torn), *command[1:]])
+    assert "cut its last" in capsys.readouterr().err
+    assert not look(torn / "session.rrd").torn
+
+
+def test_a_continuation_that_was_not_begun_does_not_keep_the_session_from_anybody(torn):
+    for number, left in ((2, b""), (3, b"RRF2\0\0\0\0\0\0\0\0" + b"\1" * 10)):
+        (torn / f"session_{number}.rrd").write_bytes(left)
+    said = []
+    mend(torn, said.append)
+    assert not look(torn / "session.rrd").torn
+    assert [path.name for path in torn.glob("*.rrd")] == ["session.rrd"]
+    assert len(said) == 3
+
+
+def test_a_recording_beyond_repair_is_said_and_the_signals_are_read_all_the_same(torn, capsys):
+    (torn / "session.rrd").write_bytes(b"years of work")
+    assert exact(torn)[1]
+    assert "is no recording" in capsys.readouterr().err
+
+
+def test_a_file_that_a_recorder_writes_is_not_cut_under_it(tmp_path):
+    path, cell = tmp_path / "session.rrd", Cell()
+    with recorder_of(cell, path, "none") as recorder:
+        run(cell, pace.FreeRun(), Inbox(), [recorder], until=1000)
+        with path.open("ab") as file:
+            file.write(b"\1" * 10)  # it is in the middle of a message
+        size = path.stat().st_size
+        for what in (path, tmp_path):
+            with pytest.raises(OutputError, match="still being written"):
+                mend(what, print)
+        assert path.stat().st_size >= size
+    mend(path, print)

@@ -194,8 +194,6 @@ def test_what_is_no_session_is_refused_in_a_line(folder, tmp_path, capsys):
     assert "did you mean control.f_abort" in refusal(folder, "--set", "control.f_abrot=30")
     assert "what it is" in refusal(folder, "--set", "sensor.noise=0.5")
     assert "150" in refusal(folder, "--set", "control.f_abort=1e9")
-    with pytest.raises(OutputError, match="overwrite"):
-        execute(Job(folder, out=folder))
     copy = copied(folder, tmp_path)
     saved = json.loads((copy / "config.json").read_text())
     del saved["parameters"]["vision.margin"]
@@ -215,6 +213,24 @@ def test_what_is_no_session_is_refused_in_a_line(folder, tmp_path, capsys):
     (copy / "signals.parquet").write_bytes(b"PAR1 no table")
     with pytest.raises(SessionError, match="cannot be read"):
         read(copy)
+
+
+@pytest.mark.parametrize("out", ["copy", "copy/new", "link/new", "link/../copy", ".", "new/../copy"])
+def test_a_replay_does_not_take_the_place_of_what_it_replays(folder, tmp_path, out):
+    copy = copied(folder, tmp_path)
+    (tmp_path / "link").symlink_to(copy)
+    (tmp_path / "config.json").write_text("{}")
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(OutputError, match="is not apart from"):
+        execute(Job(copy, ("control.f_relax=12",), tmp_path / out, overwrite=True))
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_nor_of_a_killed_run_under_its_hidden_name(folder, tmp_path):
+    hidden = shutil.copytree(folder, tmp_path / ".out.partial")
+    with pytest.raises(OutputError, match="is not apart from"):
+        execute(Job(hidden, ("control.f_relax=12",), tmp_path / "out"))
+    assert (hidden / "signals.parquet").is_file()
 
 
 def test_an_unknown_parameter_in_a_config_is_named():
