@@ -1,6 +1,6 @@
 """The figures of a run, computed from its signals alone: so a table read back gives the same ones."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ Mask = NDArray[np.bool_]
 
 
 def compute(columns: Columns) -> dict[str, Any]:
-    """All figures, ready for JSON; a figure without a single tick to judge is None."""
+    """All figures, ready for JSON; a figure without a single tick to judge, or of what is not finite, is None."""
     spans = states(columns)
     return {
         "states": spans,
@@ -42,9 +42,16 @@ def compute(columns: Columns) -> dict[str, Any]:
     }
 
 
+def clock(columns: Columns) -> NDArray[np.float64]:
+    """Time of each row [s]; it goes on where a Reset has set the cell's own back to 0."""
+    t = columns["t"]
+    again = np.diff(t, prepend=-np.inf) <= 0.0
+    return t + np.cumsum(np.where(again, np.r_[0.0, t[:-1]], 0.0))
+
+
 def states(columns: Columns) -> list[list[Any]]:
-    """The run as [from, to, mode] in order [s]; each span ends where the next begins."""
-    t, mode = columns["t"], columns["state"]
+    """The run as [from, to, mode] in order [s] of its clock; each span ends where the next begins."""
+    t, mode = clock(columns), columns["state"]
     if not t.size:
         return []
     starts = np.flatnonzero(np.r_[True, mode[1:] != mode[:-1]])
@@ -68,7 +75,7 @@ def story(spans: Sequence[Sequence[Any]]) -> list[list[Any]]:
 
 def settled(columns: Columns) -> Mask:
     """Ticks outside ABORT and at least `SETTLING` after one."""
-    t, aborted = columns["t"], columns["state"] == Mode.ABORT
+    t, aborted = clock(columns), columns["state"] == Mode.ABORT
     last = np.maximum.accumulate(np.where(aborted, t, -np.inf))
     return t - last > SETTLING
 
@@ -77,7 +84,7 @@ def _ee_error(columns: Columns, mode: Mode) -> dict[str, Any]:
     judged = (columns["state"] == mode) & settled(columns)
     error = np.linalg.norm(columns["ee"] - columns["ee_desired"], axis=1)[judged]
     return {"ticks": int(error.size), "max_m": _largest(error),
-            "rms_m": float(np.sqrt(np.mean(error**2))) if error.size else None}
+            "rms_m": _figure(lambda error: np.sqrt(np.mean(error**2)), error)}
 
 
 def pressed(columns: Columns) -> Mask:
@@ -123,10 +130,10 @@ def _forces(columns: Columns, judged: Mask) -> dict[str, Any]:
 
 
 def _ddq(columns: Columns, name: str) -> float | None:
-    """The largest joint acceleration [rad/s2], from one control tick to the next."""
-    if columns["t"].size < 2:
-        return None
-    return float((np.abs(np.diff(columns[name], axis=0)).max(axis=1) / np.diff(columns["t"])).max())
+    """The largest joint acceleration [rad/s2], from one control tick to the next; a Reset is none."""
+    step = np.diff(columns["t"])
+    change = np.abs(np.diff(columns[name], axis=0)).max(axis=1)
+    return _largest(change[step > 0.0] / step[step > 0.0])
 
 
 def _finite(columns: Columns) -> bool:
@@ -135,18 +142,23 @@ def _finite(columns: Columns) -> bool:
         and all(np.isfinite(columns[name][contact]).all() for name in FINITE_IN_CONTACT)
 
 
+def _figure(of: Callable[[NDArray[Any]], Any], values: NDArray[Any]) -> float | None:
+    """None where there is nothing to judge, or a value that is not finite, for JSON has none."""
+    found = float(of(values)) if values.size else np.nan
+    return found if np.isfinite(found) else None
+
+
 def _mean(values: NDArray[Any]) -> float | None:
-    return float(values.mean()) if values.size else None
+    return _figure(np.mean, values)
 
 
 def _median(values: NDArray[np.float64]) -> float | None:
-    return float(np.median(values)) if values.size else None
+    return _figure(np.median, values)
 
 
 def _largest(values: NDArray[np.float64]) -> float | None:
-    return float(values.max()) if values.size else None
+    return _figure(np.max, values)
 
 
 def _least(values: NDArray[np.float64]) -> float | None:
-    values = values[np.isfinite(values)]
-    return float(values.min()) if values.size else None
+    return _figure(np.min, values[np.isfinite(values)])

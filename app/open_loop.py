@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from app import metrics, output, settings
+from app.record.clock import Clock
 from app.record.folder import Session, SessionError, line, write, write_json
 from app.record.signals import Columns
 from app.record.tape import ROBOT, TapeTable, read_tape
@@ -164,7 +165,7 @@ def _write(out: Path, replay: Replay, about: Mapping[str, Any], config: Config, 
         if (recording := replay.session.folder / "session.rrd").is_file():
             from app.record import overlay  # here, because rerun takes half a second and is an extra
 
-            overlay.write(folder / recording.name, recording, replay.columns, keys(config),
+            overlay.write(folder / recording.name, recording, Clock(replay.session).rows, replay.columns, keys(config),
                           tick_ns=1_000_000_000 // config.rates.base_hz, cameras=[setup.name for setup in rig(config)])
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from app.metrics import states
+from app.metrics import clock, states
 from app.record.signals import Columns
 from hrc.messages import Mode
 
@@ -41,7 +41,7 @@ def comparison(path: Path, runs: Mapping[str, Columns], *, F_relax: float, F_abo
 
 def _column(rows: Sequence[Any], columns: Columns, F_relax: float, F_abort: float) -> None:
     place, force, error, state = rows
-    t = columns["t"]
+    t = clock(columns)
     for i, (axis, colour) in enumerate(_AXES):
         place.plot(t, columns["ee_desired"][:, i], color="black", linewidth=0.8, linestyle=(0, (4, 3)))
         place.plot(t, columns["ee"][:, i], color=colour, linewidth=1.2, label=axis)

@@ -91,7 +91,7 @@ class Recording:
     def _try(self, write: Callable[..., object], *args: object) -> None:
         try:
             write(*args)
-        except (OSError, HrcError) as error:
+        except (OSError, ValueError, HrcError) as error:
             self.problem = self.problem or f"what a replay needs could not be written: {error}"
 
 

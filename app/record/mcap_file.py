@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from app.output import OutputError
 from app.record import foxglove as fox
+from app.record.clock import Clock
 from app.record.folder import Session, files
 from app.record.tape import ROBOT, read_tape
 from hrc import meshes
@@ -62,7 +63,7 @@ def export(session: Session, path: Path) -> int:
 
 def messages(session: Session) -> Iterator[Said]:
     """Everything that the session has, in order of time."""
-    clock, ns = _Clock(session), 1_000_000_000 // session.config.rates.base_hz
+    clock, ns = Clock(session), 1_000_000_000 // session.config.rates.base_hz
     scene = load_scene(session.config.scene)
     cameras = {setup.name: Camera(setup.camera) for setup in rig(session.config, scene)}
     begin = int(clock.rows[0]) * ns
@@ -79,37 +80,19 @@ def messages(session: Session) -> Iterator[Said]:
     return heapq.merge(*streams, key=itemgetter(0))
 
 
-class _Clock:
-    """Ticks that go on where a Reset set the cell's back to 0. rows: of each control tick; events: (tick, event) in order."""
-
-    def __init__(self, session: Session) -> None:
-        ticks = session.columns["tick"]
-        again = np.flatnonzero(np.diff(ticks) <= 0) + 1
-        resets = [i for i, entry in enumerate(session.events) if isinstance(entry.event, Reset)]
-        first = resets[-len(again) - 1] + 1 if session.skipped and len(resets) > len(again) else 0
-        offset, offsets, self.events = 0, [0], list[tuple[int, Any]]()
-        for entry in session.events[first:]:
-            if offset + entry.tick >= ticks[0] - 1:  # before that, nothing was recorded
-                self.events.append((offset + entry.tick, entry.event))
-            if isinstance(entry.event, Reset) and len(offsets) <= len(again):
-                offset += entry.tick
-                offsets.append(offset)
-        self.rows = ticks + np.array(offsets)[np.searchsorted(again, np.arange(len(ticks)), side="right")]
-
-
-def _signals(session: Session, clock: _Clock, ns: int) -> Iterator[Said]:
+def _signals(session: Session, clock: Clock, ns: int) -> Iterator[Said]:
     for row, tick in enumerate(clock.rows.tolist()):
         yield tick * ns, SIGNALS, "elbowroom.Signals", fox.signals(session.columns, row)
 
 
-def _robot(session: Session, clock: _Clock, ns: int) -> Iterator[Said]:
+def _robot(session: Session, clock: Clock, ns: int) -> Iterator[Said]:
     robot = Dynamics(pinocchio_model(load_spec().compile(), armature=False))
     for tick, q in zip(clock.rows[::POSE_EVERY].tolist(), session.columns["q"][::POSE_EVERY], strict=True):
         poses = dict[str, NDArray[np.float64]](zip(LINKS, robot.kinematics(q)[0], strict=True))
         yield tick * ns, TF, "foxglove.FrameTransforms", fox.transforms(tick * ns, poses)
 
 
-def _contact(session: Session, clock: _Clock, ns: int) -> Iterator[Said]:
+def _contact(session: Session, clock: Clock, ns: int) -> Iterator[Said]:
     c, there = session.columns, set[str]()
     for row in range(0, len(clock.rows), POSE_EVERY):
         time = int(clock.rows[row]) * ns
@@ -122,7 +105,7 @@ def _contact(session: Session, clock: _Clock, ns: int) -> Iterator[Said]:
         there = set(seen)
 
 
-def _log(session: Session, clock: _Clock, ns: int) -> Iterator[Said]:
+def _log(session: Session, clock: Clock, ns: int) -> Iterator[Said]:
     mode = session.columns["state"]
     changed = np.flatnonzero(np.r_[True, mode[1:] != mode[:-1]])
     lines = [(int(clock.rows[i]), fox.WARNING if mode[i] == "stop" else fox.INFO, f"-> {mode[i]}") for i in changed]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
 from app.record import blueprint, entities
@@ -17,18 +18,18 @@ GIVEN = ("q", "dq", "tau", "force_true", "contact_point_true", "contact_link_tru
 """Signals that are in the session already."""
 
 
-def write(path: Path, recording: Path, columns: Columns, parameters: Mapping[str, Any], *, tick_ns: int,
-          cameras: Sequence[str]) -> None:
+def write(path: Path, recording: Path, ticks: NDArray[np.int64], columns: Columns, parameters: Mapping[str, Any], *,
+          tick_ns: int, cameras: Sequence[str]) -> None:
     """Write the replayed signals and modes to `path` (.rrd), for the session recorded in `recording`.
 
-    parameters: the replay's, by key. tick_ns: length of a tick of the base rate. cameras: by name, for the layout.
+    ticks: of the rows on the recording's clock, shape (n,). parameters: the replay's, by key. tick_ns: length of a tick of the
+    base rate. cameras: by name, for the layout.
     """
     own = next(entry for entry in RrdReader(os.fspath(recording)).recordings())
     stream = rr.RecordingStream(APPLICATION, recording_id=own.recording_id, send_properties=False)
     stream.set_log_time_enabled(False)
     stream.set_sinks(rr.FileSink(os.fspath(path)))
     stream.send_blueprint(blueprint.review(cameras, replayed=True))  # a default would not take the place of the session's own
-    ticks = columns["tick"]
     index = [rr.TimeColumn("sim_time", duration=(ticks * tick_ns).astype("timedelta64[ns]")),
              rr.TimeColumn("step", sequence=ticks.copy())]
     for signal in PLOTTED:

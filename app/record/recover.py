@@ -60,7 +60,7 @@ def mend(path: Path, say: Say) -> None:
 
 
 def mended(folder: Path) -> None:
-    """The same, said on stderr, for those who read the signals: a recording beyond repair is said, too, and does not stop them."""
+    """The same, said on stderr, for those who read the signals: a recording beyond repair is said, too, and stops nobody."""
     def say(line: str) -> None:
         print(line, file=sys.stderr)
 

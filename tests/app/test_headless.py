@@ -162,6 +162,25 @@ def test_the_error_after_an_abort_does_not_count_for_two_seconds():
     assert metrics.compute(columns)["ee_error"]["relax"] == {"ticks": 3, "max_m": 3.0, "rms_m": (14 / 3) ** 0.5}
 
 
+def test_after_a_reset_the_clock_goes_on_and_no_figure_looks_across_it():
+    columns = _columns(["idle", "abort", "idle", *["idle"] * 6, "abort"], [0.0, 0, 9, 9, 9, 1, 1, 1, 1, 0])
+    columns["t"] = np.array([0.0, 0.5, 1.0, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0])  # set back to the very time that it was
+    columns["dq"][:, 0] = [0.0] * 3 + [9.0] * 7
+    figures = metrics.compute(columns)
+    assert figures["states"] == [[0.0, 0.5, "idle"], [0.5, 1.0, "abort"], [1.0, 5.0, "idle"], [5.0, 5.0, "abort"]]
+    assert figures["aborts"] == [0.5, 5.0]
+    assert figures["ee_error"]["idle"]["max_m"] == 1.0
+    assert figures["ddq_measured_max"] == 0.0
+
+
+def test_a_figure_of_what_is_not_finite_is_none_for_json_has_no_such_number():
+    columns = _columns(["idle"] * 3, 0.0)
+    columns["dq"][1] = columns["ee"][1] = np.nan
+    figures = metrics.compute(columns)
+    assert figures["ddq_measured_max"] is figures["ee_error"]["idle"]["max_m"] is None
+    json.dumps(figures, allow_nan=False)
+
+
 def test_a_contact_nobody_located_counts_as_a_wrong_link():
     columns = _columns(["relax"] * 4, 0.0, force_est=(13.0, 4.0, 0.0))
     columns["contact_link_est"][:2] = -1

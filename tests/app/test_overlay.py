@@ -11,10 +11,15 @@ from test_record import column
 from app.headless import Job, execute
 from app.open_loop import Job as Again
 from app.open_loop import execute as replay
+from app.record.archive import Archive
 from app.record.overlay import GIVEN
 from app.record.signals import read_parquet
 from app.record.writer import PLOTTED
 from app.review import SESSION, recordings
+from hrc.cell import pace
+from hrc.cell.cell import Cell
+from hrc.cell.run import Inbox, run
+from hrc.events import Reset
 
 
 @pytest.fixture(scope="module")
@@ -49,3 +54,17 @@ def test_its_curves_are_the_replayed_signals_on_the_clock_of_the_session(folders
     ticks, states = column(again / SESSION, "/state/replayed", "StateChange:state")
     assert ticks == columns["tick"][changed].tolist()
     assert [state[0] for state in states] == mode[changed].tolist()
+
+
+def test_its_clock_goes_on_after_a_reset_as_the_recording_does(tmp_path):
+    archive, cell, inbox = Archive(tmp_path / "recordings"), Cell(), Inbox()
+    run(cell, pace.FreeRun(7), inbox, [archive], until=53)
+    name = archive.start("free", cell.config, {}, "none")
+    run(cell, pace.FreeRun(7), inbox, [archive], until=303)
+    inbox.put(Reset())
+    run(cell, pace.FreeRun(7), inbox, [archive], until=10**6, stopped=lambda: archive.now.seconds >= 0.5)
+    archive.stop()
+    replay(Again(archive.folder(name), ("control.f_relax=12",), tmp_path / "again"))
+    ticks, _ = column(archive.folder(name) / SESSION, "/signals/residual", "Scalars:scalars")
+    assert column(tmp_path / "again" / SESSION, "/replay/residual", "Scalars:scalars")[0] == ticks
+    assert np.all(np.diff(ticks) > 0)

@@ -81,6 +81,14 @@ def test_an_interactive_session_runs_again_bit_for_bit(folder):
     assert exact(folder) == (f"identical, 0 differing ticks of {len(columns['tick'])}", True)
 
 
+def test_the_figures_of_a_session_with_resets_run_forward(folder):
+    columns = read_parquet(folder / "signals.parquet")
+    assert (np.diff(columns["t"]) <= 0).any()
+    spans = metrics.compute(columns)["states"]
+    assert all(start < end for start, end, _ in spans[:-1])
+    assert spans[-1][1] == pytest.approx(2.5, abs=0.015), "Resets come between control ticks"
+
+
 def test_the_log_says_when_and_why_not(folder):
     lines = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
     assert [line["event"].get("key", line["event"].get("name")) for line in lines if "refused" in line] \
