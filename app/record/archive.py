@@ -125,7 +125,7 @@ class Archive:
                 self._log.on_step(snapshot)
             if (now := self._now) is not None:
                 now.on_step(snapshot)
-                if why := now.recorder.stopped or now.problem:
+                if why := now.recorder.problem or now.problem:
                     self._end(why)
                 elif now.seconds >= MOST_S:
                     self._end(f"it is {MOST_S / 3600:g} h long")

@@ -113,7 +113,7 @@ class Recorder:
         self._queue: deque[tuple[int, Snapshot, float, tuple[_Image, ...]]] = deque()
         self._images_in = self._images_out = 0
         """Images handed to the worker, and done with by it: each is counted by one thread alone."""
-        self._wake, self._closing = threading.Event(), False
+        self._wake, self._closing, self._over = threading.Event(), False, False
         self._failure: Exception | None = None
         self._own = contextlib.ExitStack()
         """Locks on the files, which a repair would cut."""
@@ -129,6 +129,8 @@ class Recorder:
 
     def on_step(self, snapshot: Snapshot) -> None:
         """Take what this tick brought."""
+        if self._over:  # nobody would take it from the queue
+            return
         tick = self._clock.at(snapshot)
         images = self._admitted(snapshot) if snapshot.fresh_frame and self._depth != "none" else ()
         if len(self._queue) >= _STEPS:
@@ -149,7 +151,12 @@ class Recorder:
         if self.stopped:
             raise RecordingError(f"the recording ends early: {self.stopped}")
         if self._failure:
-            raise RecordingError(f"the recording is not complete: {self._failure}") from self._failure
+            raise RecordingError(self.problem) from self._failure
+
+    @property
+    def problem(self) -> str:
+        """Why nothing more is recorded; empty while all is well."""
+        return self.stopped or (f"the recording is not complete: {self._failure}" if self._failure else "")
 
     @property
     def bytes(self) -> int:
@@ -187,13 +194,21 @@ class Recorder:
         return tuple(images)
 
     def _until(self, there_is_room: Callable[[], bool]) -> None:
-        while not there_is_room():
+        while not there_is_room() and not self._over:
             self._wake.set()
             time.sleep(0.0005)
 
     # -- on the worker's thread -------------------------------------------------------------------------------------
 
     def _work(self) -> None:
+        try:
+            self._take_all()
+        except Exception as error:
+            self._failure = self._failure or error
+        finally:
+            self._over = True
+
+    def _take_all(self) -> None:
         closing = False
         while not closing:
             self._wake.wait(_PERIOD)
@@ -304,12 +319,18 @@ class Recorder:
 
     def _cut_off(self, why: str) -> None:
         """The disk is full, or gone: end here, with a file that opens."""
-        if self.stopped:
-            return
-        self.stopped = "the disk is full" if shutil.disk_usage(self.paths[0].parent).free < FULL else why
-        self._writer.close()
+        if not self.stopped:
+            self.stopped = "the disk is full" if self._is_full() else why
+        with contextlib.suppress(OSError, RuntimeError, ValueError):
+            self._writer.close()
         with contextlib.suppress(RepairError):  # not even its beginning is there
             repair(self.paths[-1])
+
+    def _is_full(self) -> bool:
+        try:
+            return shutil.disk_usage(self.paths[0].parent).free < FULL
+        except OSError:  # it is gone
+            return False
 
     def _write_image(self, image: _Image) -> None:
         self._writer.image(image.camera, image.tick, image.frame.depth, image.robot.link)

@@ -1,6 +1,7 @@
 """The list of recordings: a name is a name of the list and never a path; and what ends a recording by itself."""
 
 import io
+import shutil
 import time
 import zipfile
 
@@ -11,6 +12,7 @@ pytest.importorskip("rerun")
 from app.record import archive as module
 from app.record.archive import Archive, ArchiveError
 from app.record.folder import read
+from app.record.recorder import Recorder
 from app.replay import exact
 from hrc.cell import pace
 from hrc.cell.cell import Cell
@@ -121,3 +123,21 @@ def test_a_folder_that_cannot_be_made_is_said_and_leaves_nothing(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ArchiveError, match="cannot record"):
         Archive(tmp_path / "file").start("free", Cell().config, {}, "none")
+
+
+@pytest.mark.parametrize(("harm", "told"), [("taken", "exists"), ("removed", "No such file")])
+def test_a_recorder_that_can_no_longer_write_ends_the_recording_at_once(tmp_path, monkeypatch, harm, told):
+    """The name of its next file is taken, or its folder is removed."""
+    archive, said, cell = Archive(tmp_path / "recordings"), [], Cell()
+    archive.over = said.append
+    monkeypatch.setitem(Recorder.__init__.__kwdefaults__, "rotate", 0.5)
+    run(cell, pace.FreeRun(), Inbox(), [archive], until=100)
+    folder = archive.root / archive.start("free", cell.config, {}, "none")
+    run(cell, pace.FreeRun(), Inbox(), [archive], until=200)
+    shutil.rmtree(folder) if harm == "removed" else (folder / "session_2.rrd").touch()
+    deadline = time.monotonic() + 20.0
+    while not said and time.monotonic() < deadline:
+        run(cell, pace.FreeRun(), Inbox(), [archive], until=cell.tick + 100)
+        time.sleep(0.01)
+    assert told in said[0]
+    assert archive.now is None

@@ -1,6 +1,7 @@
 """A recording that is long, has no room left, or meets another one at its place."""
 
 import os
+import shutil
 import subprocess
 
 import numpy as np
@@ -119,3 +120,44 @@ def test_a_run_without_room_for_its_folder_says_so_and_leaves_nothing(small):
     with pytest.raises(OutputError, match="No space"):
         execute(Job("free", small / "out", duration=1.0, record=False, quiet=True))
     assert [path.name for path in small.iterdir()] == ["else"]
+
+
+@pytest.mark.timeout(60)
+def test_a_folder_that_goes_ends_the_recording_with_a_reason_and_the_run_does_not_wait_for_it(tmp_path):
+    cell, place = Cell(), tmp_path / "place"
+    place.mkdir()
+    recorder = recorder_of(cell, place / "session.rrd", depth="none", wait=True)
+    run(cell, pace.FreeRun(), Inbox(), [recorder], until=300)
+    assert recorder.problem == ""
+    shutil.rmtree(place)
+    run(cell, pace.FreeRun(), Inbox(), [recorder], until=4000)
+    assert "No such file" in recorder.problem
+    with pytest.raises(RecordingError, match="No such file"):
+        recorder.close()
+
+
+@pytest.mark.timeout(60)
+def test_a_worker_that_dies_keeps_nobody_waiting(tmp_path, monkeypatch):
+    cell = Cell()
+    recorder = recorder_of(cell, tmp_path / "session.rrd", depth="full", wait=True)
+    run(cell, pace.FreeRun(), Inbox(), [recorder], until=300)
+    monkeypatch.setattr(recorder, "_guarded", None)  # it has never been seen to die by itself
+    run(cell, pace.FreeRun(), Inbox(), [recorder], until=3000)
+    assert "not complete" in recorder.problem
+    with pytest.raises(RecordingError, match="not complete"):
+        recorder.close()
+    assert look(tmp_path / "session.rrd").finished
+
+
+def test_an_end_that_fails_leaves_a_file_that_opens(tmp_path, monkeypatch):
+    cell = Cell()
+    recorder = recorder_of(cell, tmp_path / "session.rrd", depth="none", wait=True, reserve=10**18)
+
+    def fails():
+        raise RuntimeError("flush failed")
+
+    monkeypatch.setattr(recorder._writer, "flush", fails)
+    run(cell, pace.FreeRun(), Inbox(), [recorder], until=1000)
+    with pytest.raises(RecordingError, match="MB of disk are free"):
+        recorder.close()
+    assert look(tmp_path / "session.rrd").finished
