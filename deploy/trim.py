@@ -17,7 +17,7 @@ UNUSED = {
     "C++ headers, build files, documents, programs":
         ("cmeel.prefix/include", "cmeel.prefix/lib/cmake", "cmeel.prefix/lib/*/cmake", "cmeel.prefix/lib/pkgconfig",
          "cmeel.prefix/share/doc", "cmeel.prefix/bin", "pyarrow/include", "pyarrow/src", "numpy/_core/include", "mujoco/doc",
-         "viser/client/src", "*.dist-info/sboms", "*.dist-info/RECORD"),
+         "viser/client/src", "numpy/f2py", "mujoco/introspect", "*.dist-info/sboms", "*.dist-info/RECORD"),
     "tests and examples":
         ("*/tests", "numpy/**/tests", "scipy/**/tests", "matplotlib/**/tests", "dask/**/tests", "distributed/**/tests",
          "mujoco/*_test.py", "mujoco/testdata", "pyarrow/_pyarrow_cpp_tests*", "warp/examples",
@@ -29,7 +29,6 @@ UNUSED = {
         ("pyarrow/libarrow_flight*", "pyarrow/*_flight*", "pyarrow/libarrow_s3*", "pyarrow/_s3fs*",
          "pyarrow/_gcsfs*", "pyarrow/_azurefs*", "pyarrow/_hdfs*"),
     "fontTools' compiled copies of its Python": ("fontTools/**/*.so",),
-    "Arrow's plans of queries, which come from other programs": ("pyarrow/libarrow_substrait*", "pyarrow/_substrait*"),
     "Pygments' grammars, but those from P to Python": ("pygments/lexers/[a-oq-z]*.py",),
     "AVIF images": ("PIL/_avif*", "pillow.libs/libavif*"),
 }
@@ -121,6 +120,13 @@ def link_twins(packages: Path) -> int:
                 saved += size(path)
                 path.unlink()
                 path.symlink_to(twin.name)
+    named: dict[str, Path] = {}
+    for path in filter(is_library, sorted(packages.glob("*.libs/*.so*"))):  # each wheel brings its own
+        twin = named.setdefault(path.name, path)
+        if twin is not path and filecmp.cmp(path, twin, shallow=False):
+            saved += size(path)
+            path.unlink()
+            path.symlink_to(Path("..", *twin.relative_to(packages).parts))
     return saved
 
 
