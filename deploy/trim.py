@@ -109,7 +109,9 @@ def loaded(library: Path) -> list[tuple[str, ...]]:
 
 
 def link_twins(packages: Path) -> int:
-    """Link libx.so and libx.so.6 to libx.so.6.0.5 again: a wheel holds no links, but three copies. The bytes saved."""
+    """Link libx.so and libx.so.6 to libx.so.6.0.5 again: a wheel holds no links, but three copies. And what two wheels bring,
+    such as the library of Fortran, is there once. The bytes saved.
+    """
     saved = 0
     for folder in {path.parent for path in packages.rglob("*.so*")}:
         files = sorted(filter(is_library, folder.glob("*.so*")), key=lambda path: len(path.name), reverse=True)
