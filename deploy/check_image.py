@@ -89,8 +89,10 @@ def build(base: str | None) -> None:
         command = ["docker", "build", "--network", "host", "--tag", TAG, *secrets]
         command += ["--build-arg", f"BASE={base}"] if base else []
         begin = time.monotonic()
-        subprocess.run([*command, str(ROOT)], check=True, env={**os.environ, "DOCKER_BUILDKIT": "1"},
-                       stdout=subprocess.DEVNULL, stderr=None if sys.stderr.isatty() else subprocess.DEVNULL)
+        done = subprocess.run([*command, str(ROOT)], check=False, env={**os.environ, "DOCKER_BUILDKIT": "1"}, text=True,
+                              stdout=subprocess.DEVNULL, stderr=None if sys.stderr.isatty() else subprocess.PIPE)
+        if done.returncode:
+            raise SystemExit("\n".join(["it does not build:", *(done.stderr or "").splitlines()[-30:]]))
     check(True, "it builds", f"{time.monotonic() - begin:.0f} s, of which the engine may have had parts already")
 
 

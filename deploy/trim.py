@@ -17,7 +17,7 @@ UNUSED = {
     "C++ headers, build files, documents, programs":
         ("cmeel.prefix/include", "cmeel.prefix/lib/cmake", "cmeel.prefix/lib/*/cmake", "cmeel.prefix/lib/pkgconfig",
          "cmeel.prefix/share/doc", "cmeel.prefix/bin", "pyarrow/include", "pyarrow/src", "numpy/_core/include", "mujoco/doc",
-         "viser/client/src", "numpy/f2py", "mujoco/introspect", "*.dist-info/sboms", "*.dist-info/RECORD"),
+         "viser/client/src", "mujoco/introspect", "*.dist-info/sboms", "*.dist-info/RECORD"),
     "tests and examples":
         ("*/tests", "numpy/**/tests", "scipy/**/tests", "matplotlib/**/tests", "dask/**/tests", "distributed/**/tests",
          "mujoco/*_test.py", "mujoco/testdata", "pyarrow/_pyarrow_cpp_tests*", "warp/examples",
