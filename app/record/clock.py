@@ -10,17 +10,20 @@ from hrc.events import Reset
 
 
 class Clock:
-    """rows: tick of each control tick, shape (n,); events: (tick, event) in order, since the recording began."""
+    """rows: tick of each control tick, shape (n,). before, events: (tick, event) in order, of what came before the first of them,
+    and since.
+    """
 
     def __init__(self, session: Session) -> None:
         ticks = session.columns["tick"]
         again = np.flatnonzero(np.diff(ticks) <= 0) + 1
         resets = [i for i, entry in enumerate(session.events) if isinstance(entry.event, Reset)]
         first = resets[-len(again) - 1] + 1 if session.skipped and len(resets) > len(again) else 0
-        offset, offsets, self.events = 0, [0], list[tuple[int, Any]]()
+        offset, offsets = 0, [0]
+        self.before, self.events = list[tuple[int, Any]](), list[tuple[int, Any]]()
         for entry in session.events[first:]:
-            if offset + entry.tick >= ticks[0] - 1:  # before that, nothing was recorded
-                self.events.append((offset + entry.tick, entry.event))
+            recorded = offset + entry.tick >= ticks[0] - 1
+            (self.events if recorded else self.before).append((offset + entry.tick, entry.event))
             if isinstance(entry.event, Reset) and len(offsets) <= len(again):
                 offset += entry.tick
                 offsets.append(offset)

@@ -17,7 +17,8 @@ from app.record.folder import Session, files
 from app.record.tape import ROBOT, read_tape
 from hrc import meshes
 from hrc.cell.eyes import rig
-from hrc.events import Reset, SetParameter, to_dict
+from hrc.events import MoveCamera, Reset, SetParameter, to_dict
+from hrc.geometry import look_at
 from hrc.messages import LINKS, Body
 from hrc.model import Dynamics, load_spec, pinocchio_model
 from hrc.scene import load_scene
@@ -68,16 +69,39 @@ def messages(session: Session) -> Iterator[Said]:
     cameras = {setup.name: Camera(setup.camera) for setup in rig(session.config, scene)}
     begin = int(clock.rows[0]) * ns
     still = [
-        (begin, TF, "foxglove.FrameTransforms", fox.transforms(begin, {c: k.T_world_camera for c, k in cameras.items()})),
         (begin, SCENE, "foxglove.SceneUpdate", fox.scene([
             *(fox.entity(begin, box.name, cubes=fox.solid(_at(box.centre), 2.0 * np.array(box.half), box.rgb))
               for box in scene.environment),
             *(fox.entity(begin, name, name, triangles=fox.triangles(mesh, rgb))
               for name, mesh, rgb in zip(LINKS, meshes.robot("perception"), meshes.COLOURS, strict=True))]))]
-    streams = [still, _signals(session, clock, ns), _robot(session, clock, ns), _contact(session, clock, ns),
-               _log(session, clock, ns), _obstacles(session, ns)]
+    streams = [still, _cameras(clock, cameras, ns), _signals(session, clock, ns), _robot(session, clock, ns),
+               _contact(session, clock, ns), _log(session, clock, ns), _obstacles(session, ns)]
     streams += [_images(session, name, camera, ns) for name, camera in cameras.items()]
     return heapq.merge(*streams, key=itemgetter(0))
+
+
+def _cameras(clock: Clock, cameras: dict[str, Camera], ns: int) -> Iterator[Said]:
+    """Where they stand: at the beginning, and whenever one is moved."""
+    home = {name: camera.T_world_camera for name, camera in cameras.items()}
+    poses, begin = dict(home), int(clock.rows[0])
+    for _, event in clock.before:
+        poses |= _moved(event, home)
+    yield begin * ns, TF, "foxglove.FrameTransforms", fox.transforms(begin * ns, poses)
+    for tick, event in clock.events:
+        if moved := _moved(event, home):
+            at = max(tick, begin) * ns
+            # The old pose again just before: between two of them, readers interpolate.
+            if tick > begin:
+                yield at - 1, TF, "foxglove.FrameTransforms", fox.transforms(at - 1, {name: poses[name] for name in moved})
+            yield at, TF, "foxglove.FrameTransforms", fox.transforms(at, moved)
+            poses |= moved
+
+
+def _moved(event: Any, home: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    """The poses that an event gives to cameras."""
+    if isinstance(event, MoveCamera):
+        return {event.name: look_at(event.eye, event.target)}
+    return home if isinstance(event, Reset) else {}
 
 
 def _signals(session: Session, clock: Clock, ns: int) -> Iterator[Said]:

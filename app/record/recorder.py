@@ -22,7 +22,7 @@ from app.record.signals import AT, WIDTH, row
 from app.record.writer import SessionWriter
 from hrc.errors import HrcError, unknown
 from hrc.events import Reset, SetParameter, to_dict
-from hrc.messages import Body, Clearance, DepthFrame, Mode, Nearest, RobotImage, Snapshot, View
+from hrc.messages import Body, Clearance, DepthFrame, Mode, Nearest, RobotImage, Snapshot
 from hrc.scene import Scene
 from hrc.vision.camera import Camera
 
@@ -75,6 +75,7 @@ class _Block:
         self.bodies: list[tuple[Body, ...]] = []
         self.clearances: list[tuple[Clearance, ...]] = []
         self.touches: list[tuple[Nearest, ...]] = []
+        self.places: list[tuple[int, str, Any]] = []
 
 
 class Recorder:
@@ -104,6 +105,8 @@ class Recorder:
         self._image_gap = 1 if depth == "full" else base_hz // SAMPLED_HZ
         self._next_image = dict.fromkeys(cameras, 0)
         self._silent: dict[str, bool] = {}
+        self._home = {name: camera.T_world_camera for name, camera in cameras.items()}
+        self._stand = dict(self._home)
         self._mode: Mode | None = None
         self._block = _Block()
         self._control_ticks = 0
@@ -137,7 +140,8 @@ class Recorder:
             if self._wait:
                 self._until(lambda: len(self._queue) < _STEPS)
             else:
-                snapshot = replace(snapshot, views=tuple(View(view.camera, silent=view.silent) for view in snapshot.views))
+                snapshot = replace(snapshot, views=tuple(
+                    replace(view, frame=None, foreground=None, robot_image=None) for view in snapshot.views))
         self._queue.append((tick, snapshot, time.perf_counter(), images))
 
     def close(self) -> None:
@@ -255,6 +259,12 @@ class Recorder:
             if view.silent is not self._silent.get(view.camera):
                 self._silent[view.camera] = view.silent
                 self._writer.camera(tick, view.camera, silent=view.silent)
+            T = self._home[view.camera] if view.T_world_camera is None else view.T_world_camera
+            if T is not self._stand[view.camera]:
+                self._stand[view.camera] = T
+                frame = None if view.silent else view.frame  # with one, the pose is that at its exposure
+                since = tick if frame is None else tick - snapshot.tick + frame.tick
+                self._block.places.append((since, view.camera, T))
 
     def _take_row(self, snapshot: Snapshot, tick: int, seen: float) -> None:
         block = self._block
@@ -292,6 +302,8 @@ class Recorder:
             self._writer.poses(block.pose_ticks, block.poses, block.nearest, block.pulls)
             self._writer.bodies(block.pose_ticks, block.bodies)
             self._writer.distances(block.pose_ticks, block.clearances, block.touches)
+        for place in block.places:
+            self._writer.place(*place)
         self._writer.flush()  # a full disk is known by this alone
 
     def _go_on_in_another_file(self, tick: int) -> None:

@@ -46,7 +46,7 @@ class SessionWriter:
         batching = rr.ChunkBatcherConfig(flush_tick=0.25)
         self._stream = rr.RecordingStream(APPLICATION, batcher_config=batching)
         self._stream.set_log_time_enabled(False)
-        self._about, self._parameters, self._scene, self._cameras = about, parameters, scene, cameras
+        self._about, self._parameters, self._scene, self._cameras = about, parameters, scene, dict(cameras)
         self._layout = blueprint.review(tuple(cameras))
         self._laid_out = b""
         self._stream.set_sinks(self._sink(path), default_blueprint=self._layout)
@@ -161,6 +161,12 @@ class SessionWriter:
         self._change(entities.camera_state(camera), state)
         self._stream.log(entities.EVENTS, rr.TextLog(f"camera {camera} {state}", level="WARN" if silent else "INFO"))
 
+    def place(self, tick: int, camera: str, T_world_camera: Poses) -> None:
+        """A camera stands elsewhere (4, 4) from this tick on, as perception knows it."""
+        self._cameras[camera] = self._cameras[camera].moved(T_world_camera)
+        self._at(tick)
+        self._log_pose(camera)
+
     def mode(self, tick: int, mode: Mode, reason: str) -> None:
         """A transition of the reaction."""
         self._at(tick)
@@ -268,8 +274,7 @@ class SessionWriter:
 
     def _log_camera(self, name: str, camera: Camera) -> None:
         c, entity = camera.config, entities.camera(name)
-        self._log_static(entity, rr.Transform3D(translation=camera.T_world_camera[:3, 3],
-                                                mat3x3=camera.T_world_camera[:3, :3]))
+        self._log_pose(name)
         K = [[c.fx, 0.0, c.cx], [0.0, c.fy, c.cy], [0.0, 0.0, 1.0]]
         self._log_static(entity, rr.Pinhole(
             image_from_camera=K, resolution=[c.width, c.height], camera_xyz=rr.ViewCoordinates.RDF,
@@ -278,6 +283,11 @@ class SessionWriter:
             media_type="image/png", meter=1000.0, colormap="viridis", depth_range=[500.0, 4500.0],
             point_fill_ratio=0.5))
         self._log_static(entities.camera_state(name), states(entities.CAMERA_COLOURS))
+
+    def _log_pose(self, camera: str) -> None:
+        T = self._cameras[camera].T_world_camera
+        # Not static: static data would hide where it is moved to.
+        self._stream.log(entities.camera(camera), rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
 
     def _log_styles(self) -> None:
         for entity, colour, radius in (

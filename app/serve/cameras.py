@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 import viser
 
-from app.serve.sight import MAX_POINTS, Sight, field_of_view
+from app.serve.sight import MAX_POINTS, Sight, field_of_view, standing
 from hrc.cell.eyes import CameraSetup
-from hrc.geometry import quaternion_from_rotation
-from hrc.messages import Snapshot
+from hrc.geometry import Array, quaternion_from_rotation
+from hrc.messages import Snapshot, View
 from hrc.vision.camera import Camera
 
 CLOUD_COLOUR = (64, 196, 255)
@@ -25,6 +25,8 @@ class CameraView:
             point_shading="flat", visible=False)
         self.show_cloud = self.show_cameras = True
         self._frustums: dict[str, viser.CameraFrustumHandle] = {}
+        self._cameras: dict[str, Camera] = {}
+        self._stand: dict[str, Array | None] = {}
         self._sights: dict[str, Sight] = {}
         self._drawn: tuple[tuple[str, int], ...] = ()
 
@@ -33,8 +35,10 @@ class CameraView:
         for frustum in self._frustums.values():
             frustum.remove()
         self._frustums, self._sights, self._drawn = {}, {}, ()
+        self._cameras = {setup.name: Camera(setup.camera) for setup in rig}
+        self._stand = dict.fromkeys(self._cameras)
         for i, setup in enumerate(rig):  # numbered: a name may hold a slash, which would nest the node
-            camera = Camera(setup.camera)
+            camera = self._cameras[setup.name]
             fov, aspect, T = field_of_view(camera)
             self._sights[setup.name] = Sight(camera)
             self._frustums[setup.name] = self._server.scene.add_camera_frustum(
@@ -43,12 +47,21 @@ class CameraView:
             if len(rig) > 1:
                 self._server.scene.add_label(f"/cameras/{i}/name", setup.name, font_screen_scale=0.8)
 
+    def _move(self, frustum: viser.CameraFrustumHandle, view: View) -> None:
+        camera = standing(self._cameras[view.camera], view)
+        self._sights[view.camera] = Sight(camera)
+        frustum.position = camera.T_world_camera[:3, 3]
+        frustum.wxyz = quaternion_from_rotation(camera.T_world_camera[:3, :3])
+
     def update(self, snapshot: Snapshot) -> None:
         """Frustums, and the foreground as perception got it: robot and environment are already taken out."""
         for view in snapshot.views:
             frustum = self._frustums.get(view.camera)
             if frustum is not None:
                 frustum.visible, frustum.color = self.show_cameras, SILENT if view.silent else LOOKING
+                if self._stand[view.camera] is not view.T_world_camera:
+                    self._stand[view.camera] = view.T_world_camera
+                    self._move(frustum, view)
         fresh = {view.camera: view.foreground for view in snapshot.views
                  if view.foreground is not None and not view.silent and view.camera in self._sights and self.show_cloud}
         drawn = tuple((camera, foreground.tick) for camera, foreground in fresh.items())

@@ -8,8 +8,9 @@ from app import palette
 from app.palette import Colour
 from app.serve import jpeg, pictures
 from app.serve.pictures import Picture, Pictures
+from app.serve.sight import standing
 from hrc.cell.eyes import CameraSetup
-from hrc.geometry import apply
+from hrc.geometry import Array, apply
 from hrc.messages import Snapshot, View
 from hrc.vision.camera import Camera
 
@@ -28,7 +29,7 @@ class CameraImages:
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._cameras: dict[str, Camera] = {}
-        self._pictures: dict[str, Pictures] = {}
+        self._pictures: dict[str, tuple[Array | None, Camera, Pictures]] = {}
         self._choice = server.gui.add_dropdown("Camera", NO_CAMERA, visible=False, hint="Whose images are shown below")
         blank = Pictures(Camera()).blank
         names = MEASURED, EXPECTED, REMAINING
@@ -53,7 +54,7 @@ class CameraImages:
     def begin(self, rig: Sequence[CameraSetup]) -> None:
         """Offer another rig's cameras."""
         self._cameras, self._drawn = {setup.name: Camera(setup.camera) for setup in rig}, None
-        self._pictures = {name: Pictures(camera) for name, camera in self._cameras.items()}
+        self._pictures = {name: (None, camera, Pictures(camera)) for name, camera in self._cameras.items()}
         self._choice.options = tuple(self._cameras)
         self.show_images = self._shown
 
@@ -62,17 +63,27 @@ class CameraImages:
         view = next((view for view in snapshot.views if view.camera == self._choice.value), None)
         if view is None or not self._shown:
             return
-        marks = () if view.silent else contacts(snapshot, view.camera, self._cameras[view.camera])
+        camera, show = self._at(view)
+        marks = () if view.silent else contacts(snapshot, view.camera, camera)
         drawn = (view.camera, None if view.frame is None else view.frame.tick, view.silent, marks)
         if drawn == self._drawn:
             return
         self._drawn = drawn
         state = "" if view.frame is not None else ": none yet"
         self._images[MEASURED].label = MEASURED + (": SILENT" if view.silent else state)
-        for name, picture in draw(view, self._pictures[view.camera], marks).items():
+        for name, picture in draw(view, show, marks).items():
             if (sent := (picture.shape, picture.tobytes())) != self._sent[name]:
                 self._sent[name] = sent
                 jpeg.show(self._images[name], picture)
+
+    def _at(self, view: View) -> tuple[Camera, Pictures]:
+        """The camera where it took the frame of the view, and what draws that."""
+        stood, camera, show = self._pictures[view.camera]
+        if stood is not view.T_world_camera:
+            camera = standing(self._cameras[view.camera], view)
+            show = Pictures(camera)
+            self._pictures[view.camera] = view.T_world_camera, camera, show
+        return camera, show
 
 
 def contacts(snapshot: Snapshot, name: str, camera: Camera) -> tuple[Mark, ...]:

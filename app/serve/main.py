@@ -25,6 +25,7 @@ from app.serve.journal import Journal
 from app.serve.mailbox import Mailbox
 from app.serve.obstacles import ObstacleControls
 from app.serve.panel import Panel
+from app.serve.placing import CameraControls
 from app.serve.publisher import Publisher, Screen
 from app.serve.recordings import RecordingControls
 from app.serve.results import ResultsView, read
@@ -81,6 +82,7 @@ class Page:
         view, forces, cameras = SceneView(self.server), ForceView(self.server), CameraView(self.server)
         distances, signals = DistanceView(self.server), SignalView(self.server)
         obstacles = ObstacleControls(self.server, self.session, view, self.journal.refuse)
+        placing = CameraControls(self.server, self.session, self.journal.refuse)
         steering = Steering(self.server, self.session, self.journal.refuse)
         tuning = Tuning(self.server, self.session, config, self.journal)
         demo = Demo(self.server, self.session, self.journal.refuse)
@@ -91,7 +93,7 @@ class Page:
             "Foreground points": _switch(cameras, "show_cloud"), "Depth cameras": _switch(cameras, "show_cameras"),
             "Camera images": _switch(signals.images, "show_images"), "Path of the tool": _switch(view, "show_trail")}
         panel = Panel(self.server, self.session, scenarios=tuple(listed), scenario=scenario, config=config, look=view.look,
-                      layers=layers, obstacles=obstacles, steering=steering, tuning=tuning, demo=demo,
+                      layers=layers, obstacles=obstacles, placing=placing, steering=steering, tuning=tuning, demo=demo,
                       theme=theme, recordings=self.recordings, journal=self.journal,
                       results=ResultsView(self.server, view, fields) if fields else None)
         self._hands = Hands(self.server, self.session, view, self.journal.refuse)
@@ -99,8 +101,8 @@ class Page:
         self.guard.seat.on_left(self._hands.let_go_of)
         self.guard.seat.on_left(obstacles.let_go_of)
         self.seat_box = SeatBox(self.guard, self.server, panel.seat, self.journal.tell)
-        screen = Screen(view, forces, cameras, distances, obstacles, steering, panel, signals, tuning, demo, Selection(view),
-                        self.journal, self.seat_box)
+        screen = Screen(view, forces, cameras, distances, obstacles, placing, steering, panel, signals, tuning, demo,
+                        Selection(view), self.journal, self.seat_box)
         self._publisher = Publisher(self.server, self.session, mailbox, screen, config)
         self._holes = Holes()
 

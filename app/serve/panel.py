@@ -11,6 +11,7 @@ from app.serve.demo import Demo
 from app.serve.inputs import Inputs
 from app.serve.journal import Journal
 from app.serve.obstacles import ObstacleControls
+from app.serve.placing import CameraControls
 from app.serve.recordings import RecordingControls
 from app.serve.results import ResultsView
 from app.serve.scene import VIEWS
@@ -46,8 +47,8 @@ class Panel:
 
     def __init__(self, server: viser.ViserServer, session: Session, *, scenarios: Sequence[str], scenario: str,
                  config: Config, look: Callable[[viser.ClientHandle, str], None],
-                 layers: Mapping[str, Callable[[bool], None]], obstacles: ObstacleControls, steering: Steering,
-                 tuning: Tuning, demo: Demo, theme: Theme, recordings: RecordingControls, journal: Journal,
+                 layers: Mapping[str, Callable[[bool], None]], obstacles: ObstacleControls, placing: CameraControls,
+                 steering: Steering, tuning: Tuning, demo: Demo, theme: Theme, recordings: RecordingControls, journal: Journal,
                  results: ResultsView | None = None) -> None:
         """look: moves one browser's view. layers: what can be shown or not, by its label."""
         self._server, self._session, self._journal, self._config = server, session, journal, config
@@ -83,7 +84,7 @@ class Panel:
         with tabs.add_tab("Posture", viser.Icon.STRETCHING):
             steering.add_posture()
         with tabs.add_tab("View", viser.Icon.EYE):
-            self._add_view(look, layers, theme)
+            self._add_view(look, layers, placing, theme)
             if results is not None:
                 results.add()
         with tabs.add_tab("Parameters", viser.Icon.ADJUSTMENTS):
@@ -113,7 +114,7 @@ class Panel:
         self._inputs.show(config)
 
     def _add_view(self, look: Callable[[viser.ClientHandle, str], None],
-                  layers: Mapping[str, Callable[[bool], None]], theme: Theme) -> None:
+                  layers: Mapping[str, Callable[[bool], None]], placing: CameraControls, theme: Theme) -> None:
         gui = self._server.gui
         views = gui.add_button_group("Look from", tuple(VIEWS), hint="The keys 1, 2 and 3 do the same")
         brightness = gui.add_button("Light or dark", icon=viser.Icon.SUN_MOON, hint="The page of this visitor (L)")
@@ -140,6 +141,7 @@ class Panel:
         brightness.on_click(on_brightness)
         for label, show in layers.items():
             gui.add_checkbox(label, True).on_update(on_update(show))
+        placing.add_box()
         self._inputs.add(UNPLUGGED, "Unplug the cameras")
         gui.add_checkbox("Shadows", False, hint="Costly without a graphics card").on_update(light)
 

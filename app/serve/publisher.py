@@ -19,6 +19,7 @@ from app.serve.journal import Journal
 from app.serve.mailbox import Mailbox
 from app.serve.obstacles import ObstacleControls
 from app.serve.panel import Panel
+from app.serve.placing import CameraControls
 from app.serve.scene import SceneView
 from app.serve.seat_box import SeatBox
 from app.serve.selection import Selection
@@ -50,6 +51,7 @@ class Screen:
     cameras: CameraView
     distances: DistanceView
     obstacles: ObstacleControls
+    placing: CameraControls
     steering: Steering
     panel: Panel
     signals: SignalView
@@ -116,6 +118,7 @@ class Publisher:
             self._screen.cameras.update(snapshot)
         if beat % PANEL_EVERY == 1:
             self._screen.obstacles.update(snapshot)
+            self._screen.placing.update()
             self._screen.steering.update(snapshot)
             control = self._config.control
             self._screen.signals.update_plot(self._mailbox.forces(), control.f_relax, control.f_abort)
@@ -132,9 +135,11 @@ class Publisher:
             self._screen.journal.add(note)
             if isinstance(note.subject, Event):
                 self._screen.steering.heard(note.subject)
+                self._screen.placing.heard(note.subject, refused=bool(note.refused))
             if isinstance(note.subject, Reset) and self._begun is not None:
                 self._adopt(self._begun)
                 self._screen.obstacles.forget()
+                self._screen.placing.forget()
                 self._screen.steering.begin(self._begun)
                 self._screen.demo.begin()
                 self._screen.view.forget_trail()
@@ -155,6 +160,7 @@ class Publisher:
         cameras = rig(config, scene)
         self._screen.view.begin(scene)
         self._screen.cameras.begin(cameras)
+        self._screen.placing.begin(cameras)
         self._screen.signals.images.begin(cameras)
         self._screen.obstacles.forget()
         self._screen.steering.begin(config)

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrc.geometry import Array
-from hrc.messages import DepthFrame
+from hrc.messages import DepthFrame, View
 from hrc.vision.camera import Camera
 
 MAX_POINTS = 8000
@@ -39,6 +39,11 @@ class Sight:
 
 def _step(number: int, at_most: int) -> int:
     return -(-number // at_most) or 1  # rounded up
+
+
+def standing(camera: Camera, view: View) -> Camera:
+    """The camera where it took the frame of the view."""
+    return camera if view.T_world_camera is None else camera.moved(view.T_world_camera)
 
 
 def field_of_view(camera: Camera) -> tuple[float, float, Array]:

@@ -172,6 +172,8 @@ def test_what_is_no_environment_is_refused():
         learned_environment([frame([1.0, 2.0]), frame([1.0])])
     with pytest.raises(SensorError, match="as many robot images"):
         learned_environment([frame([1.0])], [])
+    with pytest.raises(SensorError, match="must stay where it was"):
+        Localizer(Camera(), np.ones(Camera().shape)).move(np.eye(4))
     with pytest.raises(SensorError, match="424, 512"):
         Localizer(Camera(), np.ones((240, 320)))
     for bad in (0.0, -1.0, np.nan):
