@@ -13,7 +13,7 @@ from app import metrics, output, settings
 from app.interrupt import Interrupt
 from app.record.folder import METRICS, SESSION, EventLog, write_json
 from app.record.signals import Columns
-from app.record.spool import Spool, finish
+from app.record.spool import ROWS, Spool, done, gather
 from app.record.tape import TapeTable
 from hrc.cell import pace, scenario
 from hrc.cell.cell import Cell
@@ -90,7 +90,7 @@ def execute(job: Job) -> dict[str, Any]:
             problem = _close(recording)
             spool.close()
         clock.lap("run")
-        columns = finish(folder)
+        columns = gather(folder)
         figures = {**about, "simulated_s": cell.tick / config.rates.base_hz, "interrupted": interrupted,
                    "recording_problem": problem, **metrics.compute(columns),
                    "counts": _counts(cell, len(columns["tick"]), spool.log, recording),
@@ -100,8 +100,9 @@ def execute(job: Job) -> dict[str, Any]:
         clock.lap("write")
         figures["wall_s"] = clock.laps
         figures["real_time_factor"] = figures["simulated_s"] / clock.laps["run"]
-        figures["sizes_bytes"] = {path.name: path.stat().st_size for path in sorted(folder.iterdir())}
+        figures["sizes_bytes"] = {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.name != ROWS}
         write_json(folder / METRICS, figures)
+        done(folder)
     return figures
 
 

@@ -20,7 +20,7 @@ from app.record.spool import Spool
 from hrc.cell.eyes import rig
 from hrc.config import Config
 from hrc.errors import HrcError, unknown
-from hrc.events import Reset
+from hrc.events import Reset, SetParameter
 from hrc.messages import Snapshot
 from hrc.parameters import keys
 from hrc.scene import load_scene
@@ -62,8 +62,11 @@ class Recording:
         """Simulated length so far [s]."""
         return self._rows / self._config.rates.control_hz
 
-    def begin(self, before: EventLog, cycles: int) -> None:
-        """To be called before the first step. before: events of the cell; cycles: control ticks that it has taken."""
+    def begin(self, before: EventLog, changed: Mapping[str, Any], cycles: int) -> None:
+        """To be called before the first step. before: events of the cell; changed: parameters that they have set, by key;
+        cycles: control ticks that it has taken.
+        """
+        self.recorder.begin(changed)
         self._spool = Spool(self.folder, self._config, {**self._about, SKIPPED: cycles}, before)
 
     def on_step(self, snapshot: Snapshot) -> None:
@@ -80,7 +83,8 @@ class Recording:
             problems.append(str(error))
         if self._spool is not None:
             self._try(self._spool.close)
-        self._try(complete, self.folder, "; ".join(problems))
+        self._try(complete, self.folder, "; ".join(problems), {
+            "depth_images": self.recorder.images_kept, "depth_images_dropped": self.recorder.images_dropped})
         self._own.close()
         return "; ".join([*problems, *filter(None, [self.problem])])
 
@@ -102,6 +106,7 @@ class Archive:
         self.root, self._device = root, device
         self._lock = threading.Lock()  # a recording must not end in the middle of a step
         self._log, self._cycles = EventLog(), 0
+        self._changed: dict[str, Any] = {}
         self._now: Recording | None = None
         self.over: Callable[[str], None] = lambda _: None
         """Told, on another thread, when a recording has ended by itself, and why."""
@@ -117,6 +122,12 @@ class Archive:
             if snapshot.tick == 1 and not any(isinstance(event, Reset) for event in snapshot.events):  # another cell
                 self._end("another cell has begun")
                 self._log, self._cycles = EventLog(), 0
+                self._changed.clear()
+            for event in snapshot.events:
+                if isinstance(event, SetParameter):
+                    self._changed[event.key] = event.value
+                elif isinstance(event, Reset):
+                    self._changed.clear()
             resets = [i for i, event in enumerate(snapshot.events) if isinstance(event, Reset)]
             if resets and self._now is None:  # the cell is as at its start: nothing before it matters to a later recording
                 self._log, self._cycles = EventLog(), 0
@@ -150,7 +161,7 @@ class Archive:
             shutil.rmtree(folder, ignore_errors=True)
             raise
         with self._lock:
-            made.begin(self._log, self._cycles)
+            made.begin(self._log, self._changed, self._cycles)
             self._now = made
         return folder.name
 

@@ -130,6 +130,11 @@ class Recorder:
         self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._worker.start()
 
+    def begin(self, changed: Mapping[str, Any]) -> None:
+        """To be called before the first step of a session that goes on: parameters that are other than at its start, by key."""
+        for key, value in changed.items():
+            self._writer.set(key, value)
+
     def on_step(self, snapshot: Snapshot) -> None:
         """Take what this tick brought."""
         if self._over:  # nobody would take it from the queue

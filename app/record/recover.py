@@ -2,28 +2,30 @@
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from app import metrics, output
 from app.record.folder import METRICS, SIGNALS, files, write_json
 from app.record.repair import RepairError, look, repair
 from app.record.signals import Columns
-from app.record.spool import ROWS, finish
+from app.record.spool import ROWS, done, gather
 
 Say = Callable[[str], None]
 KILLED = "what recorded it was killed"
 
 
-def complete(folder: Path, problem: str) -> Columns:
-    """Write signals.parquet and metrics.json of what a spool has left; the signals. problem: goes into the figures.
+def complete(folder: Path, problem: str = "", counts: Mapping[str, int] | None = None) -> Columns:
+    """Write signals.parquet and metrics.json of what a spool has left; the signals. problem, counts: go into the figures.
 
     Raises SessionError if there is not even the beginning of a session, and OSError.
     """
-    columns = finish(folder)
+    columns = gather(folder)
     about = json.loads((folder / output.MARK).read_text(encoding="utf-8"))
     seconds = len(columns["tick"]) / about.pop("parameters")["rates.control_hz"]
-    write_json(folder / METRICS, {**about, "simulated_s": seconds, "recording_problem": problem, **metrics.compute(columns)})
+    write_json(folder / METRICS, {**about, "simulated_s": seconds, "recording_problem": problem, **metrics.compute(columns),
+                                  **({"counts": counts} if counts else {})})
+    done(folder)
     return columns
 
 

@@ -1,7 +1,7 @@
 """What it takes to run a session again, on the disk while the session goes on: a process that is killed leaves it there.
 
 Events go to events.jsonl as they come, and signals to signals.arrows, an Arrow stream, in blocks, each after the events before
-it. At the end, or after a kill, `finish` makes signals.parquet of that.
+it. At the end, or after a kill, `gather` makes signals.parquet of that; the stream goes last, when nothing else is missing.
 """
 
 import json
@@ -70,8 +70,8 @@ class Spool:
         self._n = 0
 
 
-def finish(folder: Path) -> Columns:
-    """Make signals.parquet of what a spool has left, whole or torn, and give its columns.
+def gather(folder: Path) -> Columns:
+    """Make signals.parquet of what a spool has left, whole or torn, and give its columns. Call `done` when all is written.
 
     Raises SessionError if there is not even the beginning of a session.
     """
@@ -90,8 +90,12 @@ def finish(folder: Path) -> Columns:
     events = (folder / EVENTS).read_bytes()
     os.truncate(folder / EVENTS, events.rfind(b"\n") + 1)
     write_parquet(folder / SIGNALS, columns, about)
-    (folder / ROWS).unlink()
     return columns
+
+
+def done(folder: Path) -> None:
+    """Remove the stream: from here on the folder is that of a finished session."""
+    (folder / ROWS).unlink()
 
 
 def _next(stream: Any) -> Any:

@@ -1,6 +1,7 @@
 """The list of recordings: a name is a name of the list and never a path; and what ends a recording by itself."""
 
 import io
+import json
 import shutil
 import time
 import zipfile
@@ -8,6 +9,8 @@ import zipfile
 import pytest
 
 pytest.importorskip("rerun")
+
+from test_record import column
 
 from app.record import archive as module
 from app.record.archive import Archive, ArchiveError
@@ -48,6 +51,17 @@ def archive(tmp_path_factory):
     return archive
 
 
+@pytest.fixture
+def archive_of_images(tmp_path):
+    """A recording that has depth images."""
+    archive, cell = Archive(tmp_path / "recordings"), Cell()
+    run(cell, pace.FreeRun(), Inbox(), [archive], until=50)
+    name = archive.start("free", cell.config, {}, "sampled")
+    run(cell, pace.FreeRun(), Inbox(), [archive], until=700)
+    assert archive.stop() == ""
+    return archive.folder(name)
+
+
 def test_a_recording_from_the_middle_runs_again_bit_for_bit(archive):
     (name,) = archive.names()
     assert name.startswith("my-scenario-")
@@ -55,6 +69,32 @@ def test_a_recording_from_the_middle_runs_again_bit_for_bit(archive):
     assert session.skipped == 40
     assert exact(archive.folder(name)) == (f"identical, 0 differing ticks of {len(session.columns['tick'])}", True)
     assert archive.seconds(name) == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize(("reset", "then"), [(False, 6.0), (True, 5.0)])
+def test_thresholds_are_drawn_as_they_are_when_the_recording_begins(tmp_path, reset, then):
+    archive, cell, inbox = Archive(tmp_path / "recordings"), Cell(), Inbox()
+    config = cell.config
+    inbox.put(SetParameter("control.f_relax", 6.0))
+    run(cell, pace.FreeRun(7), inbox, [archive], until=100)
+    if reset:
+        inbox.put(Reset())
+        run(cell, pace.FreeRun(1), inbox, [archive], until=10**6, stopped=lambda: cell.tick == 50)
+    folder = archive.root / archive.start("free", config, {}, "none")
+    run(cell, pace.FreeRun(7), inbox, [archive], until=200)
+    inbox.put(Reset())
+    run(cell, pace.FreeRun(7), inbox, [archive], until=10**6, stopped=lambda: archive.now.seconds >= 0.3)
+    assert archive.stop() == ""
+    _, curves = column(folder / "session.rrd", "/plots/force", "Scalars:scalars")
+    drawn = [curve[2] for curve in curves]
+    assert set(drawn[:15]) == {then}
+    assert set(drawn[-15:]) == {5.0}, "after a Reset all is as at the start"
+
+
+def test_the_figures_say_how_many_images_were_kept(archive_of_images):
+    figures = json.loads((archive_of_images / "metrics.json").read_text())
+    assert figures["counts"]["depth_images"] >= 2
+    assert figures["counts"]["depth_images_dropped"] == 0
 
 
 def test_what_was_before_a_reset_is_not_kept_for_later(tmp_path):

@@ -18,7 +18,7 @@ pytest.importorskip("rerun")
 from test_repair import recorder_of
 from vclient import VClient, until
 
-from app import output
+from app import headless, output
 from app.__main__ import main
 from app.headless import Job, execute
 from app.output import OutputError
@@ -96,6 +96,19 @@ def test_a_run_that_is_killed_is_completed_under_its_own_name(tmp_path, capsys):
     assert "is whole" in capsys.readouterr().out
     verdict, identical = exact(out)
     assert identical, verdict
+
+
+def test_a_run_that_dies_while_it_writes_its_results_is_not_taken_for_a_whole_one(tmp_path, monkeypatch):
+    def dies(*_):
+        raise RuntimeError("killed here")
+
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="killed here"):
+        patch.setattr(headless, "_draw", dies)
+        execute(Job("free", out, duration=0.5, record=False, quiet=True))
+    recover(out, lambda _: None)
+    assert json.loads((out / "metrics.json").read_text())["recording_problem"]
+    assert not (out / ROWS).exists()
 
 
 @pytest.fixture(scope="module")
