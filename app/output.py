@@ -26,12 +26,22 @@ def check(out: Path, *, overwrite: bool = False) -> None:
     """Raise OutputError if a run must not write to `out`."""
     if not out.name or out.is_symlink() or (out.exists() and not out.is_dir()):
         raise OutputError(f"{out} cannot be the output folder; name one that does not exist")
+    writable(out)
     if not out.exists():
         return
     if not overwrite:
         raise OutputError(f"the output folder {out} exists; choose another, or replace it with --overwrite")
     if any(out.iterdir()) and not (out / MARK).is_file():
         raise OutputError(f"{out} is not the folder of an earlier run (no {MARK} in it), so it is not overwritten")
+
+
+def writable(out: Path) -> None:
+    """Raise OutputError now, not after hours, if nothing can be made at `out`."""
+    parent = next(path for path in out.absolute().parents if os.path.exists(path))
+    if not parent.is_dir():
+        raise OutputError(f"cannot write {out}: {parent} is no folder")
+    if not os.access(parent, os.W_OK | os.X_OK):
+        raise OutputError(f"cannot write {out}: {parent} is not writable")
 
 
 def apart(out: Path, source: Path) -> None:

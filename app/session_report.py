@@ -1,6 +1,7 @@
 """`elbowroom report`: sessions as one HTML page that needs no other file: figures, metrics, parameters, and what differs."""
 
 import base64
+import contextlib
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -9,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from app import gates, metrics
-from app.output import OutputError
+from app.output import OutputError, partial, writable
 from app.record.folder import Session, SessionError, read
 from app.record.recover import mended
 from app.report import figure
@@ -39,16 +40,19 @@ def write(folders: Sequence[Path], out: Path, *, overwrite: bool = False) -> Non
         raise OutputError(f"{out} exists; choose another, or replace it with --overwrite")
     for folder in folders:
         mended(folder)
+    writable(out)
     sessions = [read(folder) for folder in folders]
     text = page(sessions)
+    made = partial(out)
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile("w", dir=out.parent, delete=False, encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(file.name, 0o644)
-        os.replace(file.name, out)
+        made.parent.mkdir(parents=True, exist_ok=True)
+        made.write_text(text, encoding="utf-8")
+        os.replace(made, out)
     except OSError as error:
         raise OutputError(f"cannot write {out}: {error.strerror}") from None
+    finally:
+        with contextlib.suppress(OSError):
+            made.unlink(missing_ok=True)
 
 
 def page(sessions: Sequence[Session]) -> str:

@@ -18,6 +18,7 @@ from app.campaign.metrics import METRICS
 from app.campaign.plan import Campaign, CampaignError
 from app.campaign.store import Record, Store, opened
 from app.interrupt import Interrupt
+from hrc.errors import HrcError
 
 TABLE, SUMMARY = "records.parquet", "summary.parquet"
 STAMP = ".written"
@@ -74,10 +75,12 @@ def execute(job: Job) -> bool:
             with interrupt.listening():
                 _play(job, campaign, store, missing, interrupt)
         records = _of(campaign, store)
-        _write(job, campaign, store.folder, records, fresh=bool(missing))
+        problem = _write(job, campaign, store.folder, records, fresh=bool(missing))
         if not job.quiet:
             print("\n".join(summary.printed(campaign, summary.rows(campaign, records))))
         print("\n".join([*_errors(records), f"{job.out}: {len(records)} of {campaign.total} records"]))
+        if problem:
+            raise CampaignError(f"the worst episodes could not all be kept: {problem}")
     return interrupt.set
 
 
@@ -131,21 +134,33 @@ def _scaling(workers: Engine, episodes: Iterator[Episode], keep: Callable[[Itera
             f"{together.each / alone.each / len(names):.2f} x {len(names)}")
 
 
-def _write(job: Job, campaign: Campaign, folder: Path, records: Sequence[Record], *, fresh: bool) -> None:
-    """Tables, report and sessions; again only if there are other records, or something else is asked for of them."""
+def _write(job: Job, campaign: Campaign, folder: Path, records: Sequence[Record], *, fresh: bool) -> str:
+    """Tables, report and sessions; again only if there are other records, or something else is asked for of them.
+
+    Returns why a session could not be kept; the report is there all the same.
+    """
     indices = worst.ranked(campaign, records, job.record)
     kept = all((folder / worst.FOLDER / worst.name(index)).is_dir() for index in indices)
     stamp, now = folder / STAMP, json.dumps([len(records), campaign.title, campaign.description, campaign.metrics])
     there = all((folder / name).is_file() for name in (STAMP, TABLE, SUMMARY, report.REPORT))
     if not fresh and kept and there and stamp.read_text(encoding="utf-8") == now:
-        return
+        return ""
     stamp.unlink(missing_ok=True)
     units = {name: metric.unit for name, metric in METRICS.items()}
     summary.write(folder / TABLE, records, units)
     summary.write(folder / SUMMARY, summary.rows(campaign, records))
-    sessions = worst.keep(campaign, indices, folder / worst.FOLDER) if job.record else ()
-    report.write(campaign, records, folder, sessions)
+    problem = ""
+    try:
+        if job.record:
+            worst.keep(campaign, indices, folder / worst.FOLDER)
+    except HrcError as error:
+        problem = str(error)
+    sessions = [folder / worst.FOLDER / worst.name(index) for index in indices]
+    report.write(campaign, records, folder, [path for path in sessions if path.is_dir()])
+    if problem:
+        return problem
     stamp.write_text(now, encoding="utf-8")
+    return ""
 
 
 def _errors(records: Sequence[Record]) -> Iterator[str]:

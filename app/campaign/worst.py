@@ -25,10 +25,11 @@ def ranked(campaign: Campaign, records: Sequence[Mapping[str, Any]], number: int
     return [r["index"] for r in sorted(judged, key=lambda r: (sign * r[campaign.worst], r["index"]))[:number]]
 
 
-def keep(campaign: Campaign, indices: Sequence[int], folder: Path) -> list[Path]:
-    """A session for each of these episodes in a folder of its own, for `replay`, `review` and `report`; returns these folders.
+def keep(campaign: Campaign, indices: Sequence[int], folder: Path) -> None:
+    """A session for each of these episodes in a folder of its own, for `replay`, `review` and `report`.
 
-    What is there from an earlier time stays if it is of the same episode, and goes if it is of another.
+    What is there from an earlier time stays if it is of the same episode, and goes if it is of another. Raises OutputError if
+    one cannot be written.
     """
     paths = {index: folder / name(index) for index in indices}
     for old in folder.glob("*/"):
@@ -38,7 +39,6 @@ def keep(campaign: Campaign, indices: Sequence[int], folder: Path) -> list[Path]
         path = paths[episode.index]
         if not (path / output.MARK).is_file():
             record(episode, path, f"{campaign.name}, episode {episode.index}")
-    return list(paths.values())
 
 
 def name(index: int) -> str:

@@ -103,8 +103,8 @@ def test_a_run_that_dies_while_it_writes_its_results_is_not_taken_for_a_whole_on
         raise RuntimeError("killed here")
 
     out = tmp_path / "out"
-    with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="killed here"):
-        patch.setattr(headless, "_draw", dies)
+    monkeypatch.setattr(headless, "_draw", dies)
+    with pytest.raises(RuntimeError, match="killed here"):
         execute(Job("free", out, duration=0.5, record=False, quiet=True))
     recover(out, lambda _: None)
     assert json.loads((out / "metrics.json").read_text())["recording_problem"]

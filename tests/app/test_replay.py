@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
-from app import metrics
+from app import metrics, open_loop
 from app.__main__ import main
 from app.headless import versions
 from app.open_loop import Job, execute
@@ -232,6 +232,13 @@ def test_a_replay_does_not_take_the_place_of_what_it_replays(folder, tmp_path, o
     with pytest.raises(OutputError, match="is not apart from"):
         execute(Job(copy, ("control.f_relax=12",), tmp_path / out, overwrite=True))
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_where_nothing_can_be_written_is_said_before_the_work(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(open_loop, "again", None)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="is no folder"):
+        execute(Job(folder, ("control.f_relax=12",), tmp_path / "file" / "deep" / "out"))
 
 
 def test_nor_of_a_killed_run_under_its_hidden_name(folder, tmp_path):

@@ -1,12 +1,15 @@
 """The report: one page, all of it inside, and what differs is marked."""
 
 import re
+import resource
 from html.parser import HTMLParser
 
 import pytest
 
+from app import session_report
 from app.__main__ import main
 from app.headless import Job, execute
+from app.output import OutputError
 from app.record.folder import read
 from app.session_report import page
 
@@ -64,6 +67,18 @@ def test_a_name_from_outside_is_text(folders):
     assert "<script" not in text
     assert "<i>" not in text
     assert "&lt;script&gt;" in text
+
+
+def test_a_full_disk_is_said_and_leaves_nothing(folders, tmp_path, monkeypatch):
+    monkeypatch.setattr(session_report, "page", lambda _: "x" * 20_000)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))
+    try:
+        with pytest.raises(OutputError, match="File too large"):
+            session_report.write(folders, tmp_path / "report.html")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_is_no_session_or_is_there_already_is_refused(folders, tmp_path, capsys):
