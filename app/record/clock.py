@@ -10,9 +10,7 @@ from hrc.events import Reset
 
 
 class Clock:
-    """rows: tick of each control tick, shape (n,). before, events: (tick, event) in order, of what came before the first of them,
-    and since.
-    """
+    """rows: tick of each control tick, shape (n,). before, events: (tick, event), until the recording began and since."""
 
     def __init__(self, session: Session) -> None:
         ticks = session.columns["tick"]

@@ -12,6 +12,7 @@ from hrc.errors import EventError
 from hrc.events import MoveCamera, MoveObstacle, Reset, SetParameter
 from hrc.geometry import apply, look_at
 from hrc.messages import Snapshot
+from hrc.sim.depth_camera import DepthCamera
 from hrc.vision.camera import Camera
 
 HOME = MoveCamera("camera", Config().camera.eye, Config().camera.target)
@@ -97,6 +98,7 @@ def test_an_obstacle_is_in_the_same_place_from_everywhere():
         for _ in range(500):
             snapshot = cell.step()
         view, eye = snapshot.views[0], np.array(move.eye)
+        assert view.T_world_camera is not None
         v, u = np.nonzero(np.isfinite(view.foreground.depth))
         points = apply(view.T_world_camera, Camera().unproject(u, v, view.foreground.depth[v, u]))
         ball = next(body for body in snapshot.bodies if body.name == "ball")
@@ -144,13 +146,15 @@ def test_a_silent_camera_can_be_moved_too():
 def test_the_truth_about_its_place_does_not_reach_perception():
     """The calibration's error goes with the sensor: it is the same, as the sensor sees it, wherever that stands."""
     cell = Cell()
-    eye = cell._eyes._eyes[0]
+    sensor = cell._eyes._eyes[0]._sensor
+    assert isinstance(sensor, DepthCamera)
     errors = []
     for move in (HOME, ASIDE):
         cell.apply(move)
         for _ in range(150):
             view = cell.step().views[0]
-        errors.append(np.linalg.inv(view.T_world_camera) @ eye._sensor.true_camera.T_world_camera)
+        assert view.T_world_camera is not None
+        errors.append(np.linalg.inv(view.T_world_camera) @ sensor.true_camera.T_world_camera)
     assert np.linalg.norm(errors[0][:3, 3]) == pytest.approx(0.005)
     np.testing.assert_allclose(errors[0], errors[1], atol=1e-12)
 
