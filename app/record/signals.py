@@ -27,29 +27,33 @@ MOST_TOUCHES = 4
 
 @dataclass(frozen=True)
 class Signal:
-    """One column. width 1 is a scalar, else a vector; kind: "float", "int", "bool" or "mode"."""
+    """One column. width 1 is a scalar, else a vector; kind: "float", "int", "bool" or "mode".
+
+    frame: "world" for what has coordinates there, "joints" for one value of each joint 1 to 7, else empty.
+    """
 
     name: str
     width: int
     unit: str
     meaning: str
     kind: str = "float"
+    frame: str = ""
 
 
 SIGNALS = (
     Signal("tick", 1, "1", "tick of the base rate", "int"),
     Signal("t", 1, "s", "simulated time"),
-    Signal("q", 7, "rad", "measured joint positions"),
-    Signal("dq", 7, "rad/s", "measured joint velocities"),
-    Signal("dq_command", 7, "rad/s", "commanded joint velocities"),
-    Signal("tau", 7, "N m", "measured link-side joint torques"),
-    Signal("residual", 7, "N m", "momentum residual, Eq. (2)"),
-    Signal("ee", 3, "m", "end effector"),
-    Signal("ee_desired", 3, "m", "reference of the end effector"),
-    Signal("force_est", 3, "N", "estimated contact force on the robot, Eq. (5); NaN without a contact"),
-    Signal("force_true", 3, "N", "true net contact force on the robot"),
-    Signal("contact_point_est", 3, "m", "estimated contact point; NaN without a contact"),
-    Signal("contact_point_true", 3, "m", "true contact point; NaN without a contact"),
+    Signal("q", 7, "rad", "measured joint positions", frame="joints"),
+    Signal("dq", 7, "rad/s", "measured joint velocities", frame="joints"),
+    Signal("dq_command", 7, "rad/s", "commanded joint velocities", frame="joints"),
+    Signal("tau", 7, "N m", "measured link-side joint torques", frame="joints"),
+    Signal("residual", 7, "N m", "momentum residual, Eq. (2)", frame="joints"),
+    Signal("ee", 3, "m", "end effector", frame="world"),
+    Signal("ee_desired", 3, "m", "reference of the end effector", frame="world"),
+    Signal("force_est", 3, "N", "estimated contact force on the robot, Eq. (5); NaN without a contact", frame="world"),
+    Signal("force_true", 3, "N", "true net contact force on the robot", frame="world"),
+    Signal("contact_point_est", 3, "m", "estimated contact point; NaN without a contact", frame="world"),
+    Signal("contact_point_true", 3, "m", "true contact point; NaN without a contact", frame="world"),
     Signal("contact_link_est", 1, "1", "estimated link in contact; -1 without a contact", "int"),
     Signal("contact_seen", 1, "1", "whether a camera sees an obstacle at the estimated contact; else it is felt alone", "bool"),
     Signal("contact_radius", 1, "m", "radius around the estimated point, holds the contact with 90 %; NaN without a contact"),
@@ -62,11 +66,11 @@ SIGNALS = (
       for link in range(1, 8)),
     Signal("touches", 1, "1", "separate places where an obstacle is as near as in a contact", "int"),
     Signal("touch_links", MOST_TOUCHES, "1", "link of each touch; NaN beyond the last"),
-    Signal("touch_points", 3 * MOST_TOUCHES, "m", "point of each touch, one after another; NaN beyond the last"),
+    Signal("touch_points", 3 * MOST_TOUCHES, "m", "point of each touch, one after another; NaN beyond the last", frame="world"),
     Signal("touch_sure", MOST_TOUCHES, "1", "1 where the touch is sure, 0 where it may be hidden; NaN beyond the last"),
     Signal("silent_cameras", 1, "1", "cameras without images: 1 for the first, plus 2 for the second, plus 4 ...", "int"),
     Signal("sigma_min", 1, "m", "smallest singular value of the contact Jacobian, Eq. (10); NaN without a contact"),
-    Signal("admittance_error", 3, "m", "admittance error x_cd - x_c; zero outside ABORT"),
+    Signal("admittance_error", 3, "m", "admittance error x_cd - x_c; zero outside ABORT", frame="world"),
     Signal("state", 1, "text", "mode of the reaction", "mode"),
 )
 
@@ -160,7 +164,7 @@ def digest(columns: Columns) -> str:
 
 
 def arrow(columns: Columns, about: Mapping[str, Any] | None = None) -> "pa.RecordBatch":
-    """The columns for Arrow; unit and meaning stand in each field's metadata, `about` as JSON in the schema's."""
+    """The columns for Arrow; unit, frame and meaning stand in each field's metadata, `about` as JSON in the schema's."""
     import pyarrow as pa  # here and below, because `replay` and the page start without it
 
     arrays, fields = [], []
@@ -171,7 +175,7 @@ def arrow(columns: Columns, about: Mapping[str, Any] | None = None) -> "pa.Recor
         array = pa.FixedSizeListArray.from_arrays(flat, signal.width) if signal.width > 1 else flat
         arrays.append(array)
         fields.append(pa.field(signal.name, array.type, nullable=False,
-                               metadata={"unit": signal.unit, "meaning": signal.meaning}))
+                               metadata={"unit": signal.unit, "frame": signal.frame, "meaning": signal.meaning}))
     return pa.RecordBatch.from_arrays(arrays, schema=pa.schema(fields, metadata={"elbowroom": json.dumps(dict(about or {}))}))
 
 

@@ -55,7 +55,9 @@ def test_columns_survive_the_file_bit_for_bit_and_carry_their_units(run, tmp_pat
         assert values.tobytes() == again[name].tobytes()
     assert digest(columns) == figures["signals_sha256"]
     schema = pq.read_schema(out / "signals.parquet")
-    assert {field.name: field.metadata[b"unit"].decode() for field in schema} == {s.name: s.unit for s in SIGNALS}
+    told = {field.name: tuple(field.metadata[key].decode() for key in (b"unit", b"frame")) for field in schema}
+    assert told == {s.name: (s.unit, s.frame) for s in SIGNALS}
+    assert told["force_est"] == ("N", "world")
 
 
 def test_one_seed_gives_the_same_bits_recorded_or_not_and_another_seed_does_not(run, tmp_path):

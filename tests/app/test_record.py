@@ -17,6 +17,7 @@ from matplotlib.image import imread  # noqa: E402
 from rerun.chunk import RrdReader  # noqa: E402
 
 from app import metrics  # noqa: E402
+from app.gates import flat  # noqa: E402
 from app.record import png  # noqa: E402
 from app.record.recorder import Recorder, RecordingError  # noqa: E402
 from app.record.signals import SIGNALS, SignalTable  # noqa: E402
@@ -27,7 +28,7 @@ from hrc.cell.eyes import rig  # noqa: E402
 from hrc.cell.run import Inbox, run  # noqa: E402
 from hrc.config import Config  # noqa: E402
 from hrc.events import MoveObstacle, RemoveObstacle  # noqa: E402
-from hrc.messages import LINKS  # noqa: E402
+from hrc.messages import LINKS, Mode  # noqa: E402
 from hrc.parameters import keys  # noqa: E402
 from hrc.vision.camera import Camera  # noqa: E402
 
@@ -99,8 +100,15 @@ def test_the_entities_are_exactly_the_documented_ones(session):
 
 def test_the_columns_are_documented():
     text = DOCS.read_text().split("## signals.parquet")[1]
-    assert re.findall(r"^\| `(\w+)` \| (\d+) \| (.+) \|$", text, re.MULTILINE) \
-        == [(s.name, str(s.width), s.unit) for s in SIGNALS]
+    assert re.findall(r"^\| `(\w+)` \| (\d+) \| (.+) \| (.+) \|$", text, re.MULTILINE) \
+        == [(s.name, str(s.width), s.unit, s.frame or "-") for s in SIGNALS]
+
+
+def test_every_figure_is_documented(session):
+    text = DOCS.read_text().split("## metrics.json")[1].split("\n## ")[0]
+    modes, documented = {mode.value for mode in Mode}, set(re.findall(r"`(\w+)`", text))
+    names = {part for name, _ in flat(metrics.compute(session[1])) for part in name.split(".") if not part.isdigit()}
+    assert names - modes - documented == set()
 
 
 @pytest.mark.parametrize("signal", PLOTTED, ids=lambda s: s.name)
