@@ -8,15 +8,17 @@ from typing import Any
 import viser
 
 from app.headless import versions
-from app.record.archive import Archive
+from app.record.archive import Archive, load
 from app.review import LOOPBACK, Server, recordings, viewer
 from app.serve.journal import Journal
-from app.serve.session import Session
+from app.serve.session import Phase, Session
 from hrc.errors import HrcError
 
 NONE: str = "-"
 """Choice in the list while there is no recording."""
 START, STOP = "Record", "End the recording"
+LOAD_AFTER = 8.0
+"""How long after somebody first sees the robot move the recorder is loaded [s], for then a click need not wait for it."""
 
 
 class RecordingControls:
@@ -27,6 +29,7 @@ class RecordingControls:
         self._local = local
         self._reviewed: Server | None = None
         self._note, self._problem, self._busy = "", "", False
+        self._loading: threading.Timer | None = None
         archive.over = self._over
 
     def add(self) -> None:
@@ -50,6 +53,10 @@ class RecordingControls:
 
     def update(self) -> None:
         """What is being recorded, as it is now."""
+        if self._loading is None and self._session.status.phase is Phase.RUNNING:
+            self._loading = threading.Timer(LOAD_AFTER, load)
+            self._loading.daemon = True
+            self._loading.start()
         now = self.archive.now
         self._start.visible, self._stop.visible = now is None, now is not None
         self._start.disabled = self._stop.disabled = self._busy
@@ -63,6 +70,9 @@ class RecordingControls:
 
     def close(self) -> None:
         """Finish what is being recorded; the viewer goes, too."""
+        if self._loading is not None:
+            self._loading.cancel()
+            self._loading.join()
         self.archive.close()
         if self._reviewed is not None:
             self._reviewed.shutdown()

@@ -1,10 +1,14 @@
 """The list of recordings: a name is a name of the list and never a path; and what ends a recording by itself."""
 
+import gc
 import io
 import json
 import shutil
+import subprocess
+import sys
 import time
 import zipfile
+from pathlib import Path
 
 import pytest
 
@@ -181,3 +185,37 @@ def test_a_recorder_that_can_no_longer_write_ends_the_recording_at_once(tmp_path
         time.sleep(0.01)
     assert told in said[0]
     assert archive.now is None
+
+
+CLICK = """
+import gc, sys, threading
+from pathlib import Path
+from app.record.archive import Archive, load
+from hrc.config import Config
+
+assert "rerun" not in sys.modules
+loading = threading.Thread(target=load)
+loading.start()
+archive = Archive(Path(sys.argv[1]))
+name = archive.start("free", Config(), {}, "none")
+loading.join()
+archive.stop()
+assert gc.isenabled() and "rerun" in sys.modules
+print(name)
+"""
+
+
+def test_a_recording_may_begin_while_what_it_needs_is_being_loaded(tmp_path):
+    root = Path(__file__).parents[2]
+    done = subprocess.run([sys.executable, "-c", CLICK, str(tmp_path)], cwd=root, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / done.stdout.strip() / "session.rrd").is_file()
+
+
+def test_without_the_extra_nothing_is_loaded_and_nothing_fails(monkeypatch):
+    monkeypatch.delitem(sys.modules, "app.record.recorder")
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    monkeypatch.delitem(sys.modules, "app.record.writer")
+    module.load()
+    assert gc.isenabled()
+    assert "app.record.recorder" not in sys.modules

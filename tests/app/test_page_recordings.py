@@ -4,6 +4,7 @@ import io
 import json
 import re
 import zipfile
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,6 +14,8 @@ from vclient import VClient, until
 
 from app.record.repair import look
 from app.replay import exact
+from app.serve import recordings
+from app.serve.access import Access
 from app.serve.main import Page
 
 
@@ -49,6 +52,23 @@ def test_a_cell_that_makes_room_for_another_ends_its_recording_and_says_so(serve
     archive.delete(name)
     raw.set("Scenario", "free")
     until(lambda: raw.banner()["mode"] == "idle", 60.0)
+
+
+@pytest.mark.live
+def test_the_recorder_is_loaded_once_somebody_sees_the_robot_move(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    loaded: list[float] = []
+    monkeypatch.setattr(recordings, "load", lambda: loaded.append(page.session.healthy))
+    monkeypatch.setattr(recordings, "LOAD_AFTER", 0.2)
+    page = Page("free", Access(port=0), say=lambda _: None, recordings=tmp_path / "recordings")
+    page.start()
+    client = VClient(page.server.get_port())
+    try:
+        until(lambda: loaded, 60.0)
+        until(lambda: float(client.banner()["time"]) > 1.0, 30.0)
+        assert loaded == [True]
+    finally:
+        client.close()
+        page.close()
 
 
 @pytest.mark.browser
