@@ -348,23 +348,6 @@ def test_a_record_without_room_is_one_clear_line_and_costs_no_other(short: Path,
         opened.add(row(1))
 
 
-def test_what_cannot_be_kept_does_not_cost_the_report(
-        short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    campaign, out = load(short, 1), tmp_path / "out"
-    with store.opened(out, campaign) as opened:
-        for index in range(campaign.total):
-            opened.add(row(index, force_error_N=1.0, missed=0.0))
-    (out / worst.FOLDER).write_text("in the way")
-    with pytest.raises(SystemExit) as exit_:
-        main(["campaign", str(short), "--out", str(out), "--episodes", "1", "--record", "1"])
-    told = capsys.readouterr()
-    assert exit_.value.code == 2
-    assert "could not all be kept" in told.err
-    assert "2 of 2 records" in told.out
-    assert "Short" in (out / "report.html").read_text()
-    assert summary_of(out)["metric"]
-
-
 def test_means_and_intervals_are_those_of_the_values(short: Path) -> None:
     campaign, rng = load(short, 40), np.random.default_rng(0)
     values = rng.normal(3.0, 1.0, 80)
