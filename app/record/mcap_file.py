@@ -87,14 +87,15 @@ def _cameras(clock: Clock, cameras: dict[str, Camera], ns: int) -> Iterator[Said
     for _, event in clock.before:
         poses |= _moved(event, home)
     yield begin * ns, TF, "foxglove.FrameTransforms", fox.transforms(begin * ns, poses)
+    last = begin * ns
     for tick, event in clock.events:
-        if moved := _moved(event, home):
+        if moved := {name: T for name, T in _moved(event, home).items() if T is not poses[name]}:
             at = max(tick, begin) * ns
             # The old pose again just before: between two of them, readers interpolate.
-            if tick > begin:
+            if at > last:
                 yield at - 1, TF, "foxglove.FrameTransforms", fox.transforms(at - 1, {name: poses[name] for name in moved})
             yield at, TF, "foxglove.FrameTransforms", fox.transforms(at, moved)
-            poses |= moved
+            poses, last = poses | moved, at
 
 
 def _moved(event: Any, home: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:

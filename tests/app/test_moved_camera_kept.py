@@ -38,6 +38,18 @@ type = "MoveCamera"
 name = "camera"
 eye = [-0.4, 1.9, 0.9]
 target = [-0.3, 0.0, 0.4]
+[[event]]
+t = 1.2
+type = "MoveCamera"
+name = "camera"
+eye = [1.0, 1.0, 1.0]
+target = [-0.3, 0.0, 0.4]
+[[event]]
+t = 1.2
+type = "MoveCamera"
+name = "camera"
+eye = [0.3, -1.2, 2.0]
+target = [-0.3, 0.0, 0.4]
 """
 
 
@@ -57,16 +69,18 @@ def stood(path):
 
 def test_the_recording_has_its_pose_from_the_first_frame_that_it_took_there(folder):
     frames, _ = column(folder / "session.rrd", "/world/cameras/camera/depth", "EncodedDepthImage:blob")
-    first = min(tick for tick in frames if tick > 500)
-    assert stood(folder / "session.rrd") == [(0, HOME.eye), (first, ASIDE.eye)]
+    first, second = (min(tick for tick in frames if tick > moved) for moved in (500, 1200))
+    assert stood(folder / "session.rrd") == [(0, HOME.eye), (first, ASIDE.eye), (second, ABOVE.eye)]
 
 
-def test_the_export_has_both_poses_and_none_between(folder, tmp_path):
+def test_the_export_has_every_pose_and_none_between(folder, tmp_path):
     export(read(folder), tmp_path / "run.mcap")
-    poses = [(time, t["translation"]) for time, _, message in topics_of(tmp_path / "run.mcap")["/tf"]
-             for t in message["transforms"] if t["child_frame_id"] == "camera"]
-    assert [time for time, _ in poses][1:] == [500 * NS - 1, 500 * NS]
-    for (_, found), (x, y, z) in zip(poses, (HOME.eye, HOME.eye, ASIDE.eye), strict=True):
+    told = topics_of(tmp_path / "run.mcap")["/tf"]
+    poses = [(time, t["translation"]) for time, _, message in told for t in message["transforms"]
+             if t["child_frame_id"] == "camera"]
+    assert [time for time, _ in poses][1:] == [500 * NS - 1, 500 * NS, 1200 * NS - 1, 1200 * NS, 1200 * NS]
+    eyes = HOME.eye, HOME.eye, ASIDE.eye, ASIDE.eye, (1.0, 1.0, 1.0), ABOVE.eye
+    for (_, found), (x, y, z) in zip(poses, eyes, strict=True):
         assert found == pytest.approx({"x": x, "y": y, "z": z})
 
 
