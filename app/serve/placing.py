@@ -96,7 +96,7 @@ class CameraControls:
         scene = self._server.scene
         gizmo = scene.add_transform_controls(
             node, scale=(0.35, 0.2)[which], disable_rotations=True, translation_limits=LIMITS, visible=self._shown,
-            position=self._home[name][which])
+            position=self._home[name][which], depth_test=False)  # what it looks at is in the arm, as a rule
         scene.add_label(f"{node}/name", (name, f"{name} looks here")[which], font_screen_scale=0.8)
 
         async def on_drag(event: viser.TransformControlsEvent) -> None:
