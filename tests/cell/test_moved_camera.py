@@ -77,7 +77,7 @@ def test_frames_on_their_way_are_seen_from_where_they_were_taken():
     assert sum(not there for there in stood.values()) == 3
 
 
-@pytest.mark.parametrize("eye", [(-0.4, 1.9, 0.9), (0.3, -1.2, 2.0), (-2.3, 0.2, 0.6), (0.0, 0.0, 0.5), (-0.5, 0.01, 0.01)])
+@pytest.mark.parametrize("eye", [(-0.4, 1.9, 0.9), (0.3, -1.2, 2.0), (-1.6, 0.2, 0.6), (0.0, 0.0, 0.5), (-0.5, 0.01, 0.01)])
 def test_from_anywhere_the_robot_and_the_room_are_no_obstacle(eye):
     """Nor from within the arm or the table, where it sees nothing."""
     cell = Cell()
