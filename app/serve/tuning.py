@@ -97,13 +97,19 @@ class Tuning:
         leave.on_click(on_leave)
 
     def _take(self, client: viser.ClientHandle, name: str, changes: tuple[tuple[str, Any], ...]) -> None:
-        self._apply(changes)
-        self._journal.tell(f"{name}: {len(changes)} parameters changed")
-        client.add_notification(name, f"{len(changes)} parameters changed", color="green", auto_close_seconds=5.0)
+        if not self._apply(changes):
+            client.add_notification(name, "Not taken: the cell is not running", color="red", auto_close_seconds=10.0)
+            return
+        told = f"{len(changes)} parameter{'s' if len(changes) != 1 else ''} changed"
+        self._journal.tell(f"{name}: {told}")
+        client.add_notification(name, told, color="green", auto_close_seconds=5.0)
 
-    def _apply(self, changes: tuple[tuple[str, Any], ...]) -> None:
+    def _apply(self, changes: tuple[tuple[str, Any], ...]) -> bool:
+        """Hand the changes to the cell, and say whether it is there to take them."""
         try:
             for key, value in changes:
                 self._session.put(SetParameter(key, value))
         except HrcError as error:
             self._journal.refuse(str(error))
+            return False
+        return True

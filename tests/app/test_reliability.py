@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from playwright.sync_api import expect
+from test_page_explain import upload
 from vclient import VClient, until
 
 from app.serve.access import Access
@@ -126,6 +127,11 @@ def test_an_exception_in_a_running_cell_stops_it_with_the_last_events_in_the_log
     stood, beat = client.banner()["time"], int(client.banner()["beat"])
     until(lambda: int(client.banner()["beat"]) > beat + 5)
     assert client.banner()["time"] == stood, "nothing moves"
+    upload(client, "control.f_abort = 40.0")
+    until(lambda: "the cell is not running" in client.text())
+    beat = int(client.banner()["beat"])
+    until(lambda: int(client.banner()["beat"]) > beat + 3)
+    assert "mine.toml" not in client.text(), "nothing was changed"
     assert "Traceback" in capfd.readouterr().err
     client.set("Simulation", "Reset")
     until(lambda: client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.3, 60.0)
