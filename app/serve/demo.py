@@ -47,11 +47,11 @@ STEPS = (
 
 
 class Demo:
-    """The button and the captions. `begin` and `update` are the publisher's to call."""
+    """The button and the captions. `begin` and `update` are the publisher's to call; what a visitor asks for waits for them."""
 
     def __init__(self, server: viser.ViserServer, session: Session, refuse: Callable[[str], None]) -> None:
         self._server, self._session, self._refuse = server, session, refuse
-        self._asked = False
+        self._asked = self._enough = False
         self._at: int | None = None
         self._since = 0.0
 
@@ -69,7 +69,7 @@ class Demo:
     def toggle(self) -> None:
         """Start the demo with a fresh cell, or end it."""
         if self._asked or self._at is not None:
-            self._end()
+            self._asked, self._enough = False, True
             return
         self._asked = True
         self._session.paused = False
@@ -79,7 +79,7 @@ class Demo:
             else:
                 self._session.open(SCENARIO)
         except HrcError as error:
-            self._end()
+            self._asked = False
             self._refuse(str(error))
 
     def begin(self) -> None:
@@ -94,7 +94,7 @@ class Demo:
         if self._at is None:
             return
         step, stayed = STEPS[self._at], snapshot.time - self._since
-        if snapshot.command.mode is Mode.STOP or stayed > PATIENCE:
+        if self._enough or snapshot.command.mode is Mode.STOP or stayed > PATIENCE:
             self._end()
         elif stayed >= step.least and step.ends(snapshot):
             if self._at + 1 < len(STEPS):
@@ -116,6 +116,6 @@ class Demo:
             self._refuse(str(error))
 
     def _end(self) -> None:
-        self._asked, self._at = False, None
+        self._asked, self._enough, self._at = False, False, None
         self._button.label = "Guided demo"
         self._caption.visible = False

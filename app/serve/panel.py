@@ -54,7 +54,7 @@ class Panel:
         self._server, self._session, self._journal, self._config = server, session, journal, config
         self._inputs, self._tuning, self._demo = Inputs(server, config, session.put, journal.refuse), tuning, demo
         self._recordings = recordings
-        self._beat = 0
+        self._beat, self._shown = 0, scenario
         self.for_all: list[Any] = []
         gui = server.gui
         gui.main_panel.dock_left()
@@ -101,6 +101,8 @@ class Panel:
         known = facts(self._session, snapshot, self._config)
         self._banner.content = banner(known, self._beat)
         self._resume.visible = known.mode == Mode.STOP.value
+        if self._session.scenario not in ("", self._shown):  # a visitor chose it here, or it was opened in another way
+            self._shown = self._scenario.value = self._session.scenario
         self._run.options = (PLAY[self._session.paused], "Step", "Reset")
 
     def update_log(self) -> None:

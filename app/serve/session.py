@@ -82,7 +82,7 @@ class Session:
 
     settings: `group.name` -> value, over each scenario's own. say: told what is going on, for the terminal.
     observers: see every snapshot beside the mailbox; one that fails is left out.
-    config: the running cell's, at its start; None before the first.
+    scenario: the one asked for last. config: the running cell's, at its start; None before the first.
     """
 
     def __init__(self, mailbox: Mailbox, *, device: str = "cpu", settings: Mapping[str, Any] | None = None,
@@ -118,7 +118,7 @@ class Session:
     def open(self, name: str) -> None:
         """Leave the running cell and start another with this scenario."""
         with self._lock:
-            self.status = Status(Phase.STARTING, f'starting "{name}"')
+            self.scenario, self.status = name, Status(Phase.STARTING, f'starting "{name}"')
             self._wanted.put(name)
 
     def close(self) -> None:
@@ -216,7 +216,6 @@ class Session:
         self._alive = time.monotonic()
         if not self._wanted.empty():  # somebody has already chosen again
             return
-        self.scenario = name
         self._mailbox.clear()
         note = "building the cell and compiling its kernels (about 5 s the first time)"
         self.status = Status(Phase.STARTING, f'"{name}": {note}')

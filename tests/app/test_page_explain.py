@@ -6,13 +6,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from target import Target
 from test_page_protocol import ELBOW, number, pull
 from vclient import VClient, until
 
+from app.serve import demo
+from app.serve.demo import Demo
 from app.serve.inputs import fine_step
+from app.serve.mailbox import Mailbox
 from app.serve.main import Page
+from app.serve.session import Session
 from app.settings import ordered, read, sift, written
+from hrc.cell.cell import Cell
 from hrc.config import Config, literal
+from hrc.messages import Snapshot
 from hrc.parameters import field_of, keys, replaced
 
 LIVE = [key for key in keys(Config()) if field_of(Config(), key).metadata["live"]]
@@ -170,6 +177,30 @@ def test_a_file_is_sifted() -> None:
     assert [line.split('"')[1] for line in found.trouble] == ["nothing.a"]
 
 
+def test_a_demo_that_is_ended_while_it_goes_on_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    target, session = Target(guarded=False), Session(Mailbox(), say=lambda _: None)
+    shown = Demo(target.server, session, lambda _: None)
+    shown.add()
+
+    def ended(_: Snapshot) -> bool:
+        shown.toggle()  # as the sockets' thread may, in the midst of an update
+        return True
+
+    monkeypatch.setattr(demo, "STEPS", (demo.Step("one", ended, least=0.0), demo.Step("two", lambda _: False)))
+    snapshot = Cell().step()
+    shown.toggle()
+    shown.begin()
+    assert shown._caption.visible
+    shown.update(snapshot)
+    shown.update(snapshot)
+    assert not shown._caption.visible
+    session.scenario = "push"  # somebody has opened another since
+    shown.toggle()
+    shown.begin()
+    assert shown._caption.visible, "it can be started again"
+    target.server.stop()
+
+
 def test_the_demo_tells_what_happens(raw: VClient) -> None:
     told: dict[str, set[str]] = {}
 
@@ -182,8 +213,11 @@ def test_the_demo_tells_what_happens(raw: VClient) -> None:
                 return props["content"]
         return ""
 
+    raw.set("Scenario", "push")
+    until(lambda: raw.banner()["mode"] == "relax", 30.0)
     raw.click("Guided demo")
     until(lambda: "draws a hexagon" in caption())
+    assert raw.value("Scenario") == "free", "the one that the demo has opened"
     raw.set("Speed", 2.0)
     until(lambda: "drag a link" in caption(), 90.0)
     assert list(told) == list("1234567")
