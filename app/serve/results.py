@@ -58,10 +58,11 @@ class ResultsView:
                                                hint="Results of a campaign, as means around each place; grey: unknown")
         self._legend = self._server.gui.add_html("")
 
-        async def on_choice(event: viser.GuiEvent[Any]) -> None:
-            field = self._fields.get(event.target.value)
+        async def on_choice(_: Any) -> None:
+            wanted = choice.value
+            field = self._fields.get(wanted)
             glbs = await asyncio.to_thread(skins, field) if field is not None else []  # it may take a second
-            if choice.value == event.target.value:  # nobody has chosen again meanwhile
+            if choice.value == wanted:  # nobody has chosen again meanwhile
                 self._show(field, glbs)
 
         choice.on_update(on_choice)

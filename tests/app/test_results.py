@@ -3,6 +3,7 @@
 import json
 import re
 import struct
+import threading
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from app.__main__ import main
 from app.browser import opened
 from app.campaign import summary
 from app.campaign.command import TABLE
+from app.serve import results
 from app.serve.access import Access
 from app.serve.main import Page
 from app.serve.results import LABEL, LINKS, read, skins
@@ -110,6 +112,30 @@ def test_the_choice_colours_the_robot_and_takes_it_back(page):
     until(lambda: "data-metric" not in client.text())
     assert {node.opacity for node in robot(page)} == {None}
     assert not any("results" in name for name in page.server.scene._handle_from_node_name)
+    client.close()
+
+
+@pytest.mark.live
+def test_a_choice_that_was_taken_back_before_it_was_drawn_is_not_shown(page, monkeypatch):
+    begun, go_on = threading.Event(), threading.Event()
+
+    def slow(field):
+        begun.set()
+        assert go_on.wait(10.0)
+        return skins(field)
+
+    client = VClient(page.server.get_port())
+    until(lambda: client.ready.is_set() and client.banner()["mode"] == "idle" and client.widget(LABEL), 60.0)
+    monkeypatch.setattr(results, "skins", slow)
+    client.set(LABEL, METRIC)
+    assert begun.wait(5.0)
+    client.set(LABEL, LINKS)
+    until(lambda: page.server.gui._gui_input_handle_from_uuid[client.widget(LABEL)].value == LINKS)
+    go_on.set()
+    beat = int(client.banner()["beat"])
+    until(lambda: int(client.banner()["beat"]) > beat + 20)
+    assert {node.opacity for node in robot(page)} == {None}
+    assert "data-metric" not in client.text()
     client.close()
 
 
