@@ -74,7 +74,7 @@ def _updates(value: Any) -> bool:
 
 SCHEMA: dict[str, dict[str, Check]] = {
     "ViewerCameraMessage": {
-        "wxyz": _numbers(4), "position": _numbers(3), "look_at": _numbers(3), "up_direction": _numbers(3),
+        "wxyz": _unit, "position": _numbers(3), "look_at": _numbers(3), "up_direction": _numbers(3),
         "fov": _between(0.01, 3.2), "near": _between(0, LIMIT), "far": _between(0, 1e6),
         "image_height": _between(0, 20000), "image_width": _between(0, 20000)},
     "GuiUpdateMessage": {"uuid": _text, "updates": _updates},

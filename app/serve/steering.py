@@ -142,9 +142,10 @@ class Steering:
 
     def _move(self, position: Array) -> None:
         low, high = np.transpose(LIMITS)
-        self._moved, self._target = time.monotonic(), np.clip(position, low, high)
-        x, y, z = self._target.tolist()
-        self._put(MoveTarget((x, y, z)))
+        x, y, z = np.clip(position, low, high).tolist()
+        event = MoveTarget((x, y, z))  # raises if they are no numbers, before anything is kept of them
+        self._moved, self._target = time.monotonic(), np.array(event.position)
+        self._put(event)
         if (self._target != self._gizmo.position).any():  # else this browser's own drag put it there, and goes on
             self._gizmo.position = self._target
 

@@ -54,6 +54,12 @@ def test_no_field_of_any_kind_takes_what_it_must_not(target: Target, kind: str) 
     assert not accepted(msgspec.msgpack.encode(message(kind, more=1)), target.server)
 
 
+@pytest.mark.parametrize("kind", ["ViewerCameraMessage", "TransformControlsUpdateMessage"])
+@pytest.mark.parametrize("wxyz", [[0.0] * 4, [1e-9, 0.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0]])
+def test_four_numbers_that_are_no_orientation_do_not_pass(target: Target, kind: str, wxyz: list[float]) -> None:
+    assert not accepted(msgspec.msgpack.encode(message(kind, wxyz=wxyz)), target.server)
+
+
 def sane(value: Any) -> bool:
     """By other means than the validator's: no number that is not finite or not of this world, no endless text."""
     if isinstance(value, dict):

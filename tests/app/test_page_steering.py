@@ -83,6 +83,19 @@ def test_nudges_of_a_cell_that_stands_still_add_up(raw: VClient) -> None:
     np.testing.assert_allclose(raw.position(GIZMO) - before, [0.0, 0.0, 2 * NUDGE], atol=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore:invalid value")
+def test_a_nudge_that_comes_to_nothing_leaves_the_target(served: Page, raw: VClient) -> None:
+    before = follow(raw)
+    camera = next(iter(served.server.get_clients().values())).camera._state
+    turned, camera.wxyz = camera.wxyz, np.zeros(4)
+    raw.set("Nudge 1 cm", "Right")
+    beat = int(raw.banner()["beat"])
+    until(lambda: int(raw.banner()["beat"]) > beat + 2)
+    camera.wxyz = turned
+    raw.set("Up, down", "Up")
+    until(lambda: np.abs(raw.position(GIZMO) - before - [0.0, 0.0, NUDGE]).max() < 1e-6)
+
+
 @pytest.mark.parametrize(("eye", "at", "away", "right"), [
     ((1.9, 0.7, 1.1), (-0.2, 0.0, 0.45), (-1, 0, 0), (0, 1, 0)),
     ((-0.3, 2.3, 0.9), (-0.25, 0.0, 0.45), (0, -1, 0), (-1, 0, 0)),
