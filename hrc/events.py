@@ -98,9 +98,9 @@ class Release(Event):
 
 @dataclass(frozen=True, slots=True)
 class MoveObstacle(Event):
-    """Bring an obstacle into the scene, or move it: its force-limited drive goes for this pose.
+    """Bring an obstacle into the scene, or move and turn it: its drive, limited in force and torque, goes for this pose.
 
-    position [m], in the world. wxyz: orientation, None keeps the present one.
+    position [m], in the world. wxyz: orientation, None keeps the present one, or the one that it is turning to.
     """
 
     name: str

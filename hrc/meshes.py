@@ -9,7 +9,9 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
+from hrc import figure as person
 from hrc.errors import AssetError, unknown
+from hrc.geometry import apply
 from hrc.paths import assets
 
 Array = NDArray[np.float64]
@@ -68,13 +70,26 @@ def sphere(radius: float, subdivisions: int = 3) -> Mesh:
     return smooth(trimesh.creation.icosphere(subdivisions, radius))
 
 
-def capsule(radius: float, half_length: float) -> Mesh:
-    """A cylinder along z from -half_length to half_length [m] with a half sphere at each end."""
-    return smooth(trimesh.creation.capsule(height=2.0 * half_length, radius=radius, count=[24, 24]))
+def capsule(radius: float, half_length: float, facets: int = 24) -> Mesh:
+    """A cylinder along z from -half_length to half_length [m] with a half sphere at each end; facets: around its axis."""
+    return smooth(trimesh.creation.capsule(height=2.0 * half_length, radius=radius, count=[facets, facets]))
+
+
+def figure(height: float) -> Mesh:
+    """A person from the waist up, of this height [m]: closed surfaces that reach into each other."""
+    vertices, faces, normals, count = [], [], [], 0
+    for part in person.parts(height):
+        mesh = sphere(part.size[0], 2) if part.shape == "sphere" else capsule(*part.size, facets=16)
+        vertices.append(apply(part.T_figure_part, mesh.vertices))
+        normals.append(mesh.normals @ part.T_figure_part[:3, :3].T)
+        faces.append(mesh.faces + count)
+        count += len(mesh.vertices)
+    return Mesh(np.concatenate(vertices), np.concatenate(faces), np.concatenate(normals))
 
 
 def shape(kind: str, size: Sequence[float]) -> Mesh:
-    """The surface of an obstacle: "sphere" (radius,), "capsule" (radius, half_length) or "box" (half lengths) [m].
+    """The surface of an obstacle: "sphere" (radius,), "capsule" (radius, half_length), "box" (half lengths) or "figure"
+    (height,) [m].
 
     Raises AssetError for another kind.
     """
@@ -84,7 +99,9 @@ def shape(kind: str, size: Sequence[float]) -> Mesh:
         return capsule(size[0], size[1])
     if kind == "box":
         return box(size)
-    raise AssetError(unknown("shape", kind, ("sphere", "capsule", "box")))
+    if kind == "figure":
+        return figure(size[0])
+    raise AssetError(unknown("shape", kind, ("sphere", "capsule", "box", "figure")))
 
 
 def smooth(mesh: trimesh.Trimesh) -> Mesh:

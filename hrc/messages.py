@@ -218,8 +218,8 @@ class Truth:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Body:
-    """An obstacle in the scene: shape "sphere" (size = (r,)), "capsule" (radius, half length of its axis, along z) or "box"
-    (half lengths) [m], pose T_world_body (4, 4)."""
+    """An obstacle in the scene: shape "sphere" (size = (r,)), "capsule" (radius, half length of its axis, along z), "box"
+    (half lengths) or "figure" (height) [m], pose T_world_body (4, 4)."""
 
     name: str
     shape: str

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hrc import toml_file
+from hrc import figure, toml_file
 from hrc.errors import AssetError, unknown
+from hrc.geometry import Array
 
 Vector = tuple[float, float, float]
 ENTRIES = ("extends", "environment", "body", "camera")
@@ -26,8 +27,8 @@ class Box:
 
 @dataclass(frozen=True)
 class BodySpec:
-    """An obstacle: shape "sphere" (size = (radius,)), "capsule" (radius, half length of its axis, along z) or "box" (half
-    lengths) [m]; mass [kg]; colour 0..1."""
+    """An obstacle: shape "sphere" (size = (radius,)), "capsule" (radius, half length of its axis, along z), "box" (half
+    lengths) or "figure", a person from the waist up (height,) [m]; mass [kg]; colour 0..1."""
 
     name: str
     shape: str
@@ -38,10 +39,19 @@ class BodySpec:
     @property
     def radius(self) -> float:
         """Half the largest extent along an axis [m]."""
-        return sum(self.size) if self.shape == "capsule" else max(self.size)
+        return sum(self.size) if self.shape == "capsule" else max(self.size) / (2.0 if self.shape == "figure" else 1.0)
+
+    @property
+    def reach(self) -> float:
+        """How far the body's farthest point is from its centre [m]."""
+        if self.shape == "figure":
+            return max(float(np.linalg.norm(part.T_figure_part[:3, 3])) + sum(part.size) for part in figure.parts(*self.size))
+        return float(np.linalg.norm(self.size)) if self.shape == "box" else sum(self.size)
 
     def extent(self, direction: ArrayLike) -> float:
         """How far the body reaches from its centre along a unit vector of its own frame [m]."""
+        if self.shape == "figure":
+            return max(_extent(part, np.asarray(direction, float)) for part in figure.parts(*self.size))
         along = np.abs(np.asarray(direction, float))
         if self.shape == "box":
             return float(along @ np.asarray(self.size))
@@ -90,15 +100,20 @@ def load_scene(name: str | Path = "cell") -> Scene:
     except (TypeError, RecursionError) as error:
         raise AssetError(f"the scene file {path.name} is malformed: {error}") from None
     for body in bodies:
-        if len(body.size) != {"sphere": 1, "capsule": 2, "box": 3}.get(body.shape):
-            raise AssetError(f'{path.name}: obstacle "{body.name}" must be a sphere with one size, a capsule with two or a '
-                             "box with three")
+        if len(body.size) != {"sphere": 1, "capsule": 2, "box": 3, "figure": 1}.get(body.shape):
+            raise AssetError(f'{path.name}: obstacle "{body.name}" must be a sphere or figure with one size, a capsule with '
+                             "two or a box with three")
     scene = Scene(base.environment + boxes, base.bodies + bodies, base.cameras + cameras)
     for kind, entries in (("obstacle", scene.bodies), ("camera", scene.cameras)):
         names = [entry.name for entry in entries]
         if len(set(names)) < len(names):
             raise AssetError(f"{path.name}: two {kind}s have the same name: {', '.join(names)}")
     return scene
+
+
+def _extent(part: figure.Part, direction: Array) -> float:
+    T = part.T_figure_part
+    return float(T[:3, 3] @ direction) + part.size[0] + abs(float(T[:3, 2] @ direction)) * sum(part.size[1:])
 
 
 def _tuples(table: dict[str, Any]) -> dict[str, Any]:

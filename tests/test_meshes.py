@@ -13,6 +13,7 @@ from scipy.spatial import KDTree
 from hrc import meshes
 from hrc.errors import AssetError
 from hrc.paths import assets
+from hrc.scene import BodySpec
 
 FOLDER = assets() / "lwr"
 BUDGET = {"plant": 40_000, "perception": 10_000, "filter": 2_500}
@@ -186,3 +187,15 @@ def test_a_capsule_is_closed_and_as_large_as_it_says():
     np.testing.assert_allclose(surface.bounds, [[-0.04, -0.04, -0.125], [0.04, 0.04, 0.125]], atol=1e-9)
     with pytest.raises(AssetError, match="capsule"):
         meshes.shape("cone", (0.1,))
+
+
+def test_a_figure_is_closed_and_as_tall_as_it_says():
+    mesh = meshes.figure(0.8)
+    assert as_trimesh(mesh).is_watertight
+    assert np.ptp(mesh.vertices[:, 2]) == pytest.approx(0.8, abs=0.002)
+    assert mesh.vertices[:, 2].max() == pytest.approx(0.4, abs=0.002)
+    body = BodySpec("figure", "figure", (0.8,))
+    assert np.linalg.norm(mesh.vertices, axis=1).max() <= body.reach
+    for direction in np.random.default_rng(0).normal(size=(20, 3)):
+        direction /= np.linalg.norm(direction)
+        assert (mesh.vertices @ direction).max() == pytest.approx(body.extent(direction), abs=0.005)

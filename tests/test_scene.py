@@ -8,7 +8,7 @@ from hrc.scene import load_scene, scenes
 def test_the_scenes_that_come_with_the_project_load(name):
     scene = load_scene(name)
     assert {box.name for box in scene.environment} >= {"table", "floor"}
-    assert {body.name for body in scene.bodies} >= {"hand", "ball", "block", "slab"}
+    assert {body.name for body in scene.bodies} >= {"hand", "ball", "block", "slab", "forearm", "figure"}
 
 
 def test_a_scene_adds_to_the_one_it_extends(tmp_path):
@@ -24,7 +24,7 @@ def test_a_scene_adds_to_the_one_it_extends(tmp_path):
     ("[[bodies]]", 'unknown entry "bodies"; did you mean body'),
     ("[[camera]]\nhz = 30", "a camera needs a name"),
     ('[[camera]]\nname = "a"\n[[camera]]\nname = "a"', "two cameras have the same name"),
-    ('[[body]]\nname = "a"\nshape = "sphere"\nsize = [1.0, 2.0]', "sphere with one size"),
+    ('[[body]]\nname = "a"\nshape = "sphere"\nsize = [1.0, 2.0]', "sphere or figure with one size"),
     ("[[body", "malformed"),
 ])
 def test_a_bad_scene_file_is_one_clear_error(tmp_path, text, complaint):
@@ -42,5 +42,5 @@ def test_a_scene_that_extends_itself_is_an_error(tmp_path):
 
 
 def test_an_unknown_scene_names_those_there_are():
-    with pytest.raises(AssetError, match="there are: cell, shapes, two_cameras, two_hands"):
+    with pytest.raises(AssetError, match="there are: cell, two_cameras, two_hands"):
         load_scene("zoo")

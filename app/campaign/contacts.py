@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.campaign import places
-from app.campaign.trial import ANY, PROFILES, Trial
+from app.campaign.trial import ANY, PROFILES, SHAPES, Trial
 from hrc.cell.eyes import rig
 from hrc.errors import HrcError
 from hrc.events import Event, Press, Push, Release, Vector
@@ -177,7 +177,7 @@ class Contacts:
         """The obstacles."""
         s = self._situation
         wanted = s.contacts - (s.by == "hand")
-        fit = [body for body in scene.bodies if s.shape in (ANY, body.shape)]
+        fit = [body for body in scene.bodies if body.shape in (SHAPES if s.shape == ANY else (s.shape,))]
         if len(fit) < wanted:
             of_shape = "" if s.shape == ANY else f" of shape {s.shape}"
             raise HrcError(f"the situation needs {wanted} obstacles{of_shape}; the scene has {len(fit)}")

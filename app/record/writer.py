@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation
 from app import palette
 from app.record import blueprint, columns, entities, png
 from app.record.signals import AT, SIGNALS
-from hrc import meshes
+from hrc import figure, meshes
+from hrc.geometry import quaternion_from_rotation
 from hrc.messages import LINKS, Body, Clearance, Mode, Nearest
 from hrc.scene import BodySpec, Scene
 from hrc.vision.camera import Camera
@@ -246,6 +247,8 @@ class SessionWriter:
             radius, half_length = body.size
             return rr.Capsules3D(lengths=[2.0 * half_length] if shown else [], radii=[radius] if shown else [],
                                  translations=[(0.0, 0.0, -half_length)] if shown else [], colors=colour, fill_mode="solid")
+        if body.shape == "figure":
+            return _capsules(figure.parts(*body.size) if shown else (), colour)
         return rr.Boxes3D(half_sizes=[body.size] if shown else [], colors=colour, fill_mode="solid")
 
     def _log_session(self, parameters: Mapping[str, Any], about: Mapping[str, Any]) -> None:
@@ -311,6 +314,16 @@ class SessionWriter:
 
     def _log_static(self, entity: str, archetype: Any) -> None:
         self._stream.log(entity, archetype, static=True)
+
+
+def _capsules(parts: Sequence[figure.Part], colour: Sequence[Any]) -> rr.Capsules3D:
+    """A sphere is a capsule without length; each begins at its lower end."""
+    lengths = [2.0 * sum(part.size[1:]) for part in parts]
+    begins = [part.T_figure_part[:3, 3] - 0.5 * length * part.T_figure_part[:3, 2]
+              for part, length in zip(parts, lengths, strict=True)]
+    turns = [rr.Quaternion(xyzw=np.roll(quaternion_from_rotation(part.T_figure_part[:3, :3]), -1)) for part in parts]
+    return rr.Capsules3D(lengths=lengths, radii=[part.size[0] for part in parts], translations=begins, quaternions=turns,
+                         colors=colour, fill_mode="solid")
 
 
 def _finite(rows: Poses) -> NDArray[np.bool_]:

@@ -40,7 +40,7 @@ def _numbers(length: int) -> Check:
 
 
 def _unit(value: Any) -> bool:
-    return _numbers(4)(value) and 0.9 < math.hypot(*value) < 1.1
+    return _numbers(4)(value) and 0.99 < math.hypot(*value) < 1.01
 
 
 def _text(value: Any) -> bool:

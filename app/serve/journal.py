@@ -71,8 +71,8 @@ def describe(event: events.Event) -> str:
             return f"pushing {LINKS[link]} with ({force[0]:.0f}, {force[1]:.0f}, {force[2]:.0f}) N"
         case events.Release():
             return "let go"
-        case events.MoveObstacle(name=name, position=(x, y, z)):
-            return f"{name} to ({x:.2f}, {y:.2f}, {z:.2f}) m"
+        case events.MoveObstacle(name=name, position=(x, y, z), wxyz=wxyz):
+            return f"{name} to ({x:.2f}, {y:.2f}, {z:.2f}) m" + ("" if wxyz is None else f", turned {_degrees(wxyz):.0f} deg")
         case events.RemoveObstacle(name=name):
             return f"{name} taken out"
         case events.Press(name=name, link=link):
@@ -91,6 +91,11 @@ def describe(event: events.Event) -> str:
             return f"stop: {reason}"
         case _:
             return type(event).__name__.lower()
+
+
+def _degrees(wxyz: tuple[float, float, float, float]) -> float:
+    """The angle from upright, 0 to 180."""
+    return math.degrees(2.0 * math.atan2(math.hypot(*wxyz[1:]), abs(wxyz[0])))
 
 
 def _kind(event: events.Event) -> tuple[object, ...]:

@@ -1,6 +1,6 @@
 """Obstacles in the hands of a visitor: a gizmo for each, dragging the body itself, and a box to bring it in or out.
 
-The drawn body is where the plant has it; the gizmo is where its force-limited drive is asked to go.
+The drawn body is where the plant has it; the gizmo is where its drive, limited in force and torque, is asked to go.
 """
 
 from collections.abc import Callable
@@ -13,12 +13,17 @@ from app.serve.scene import SceneView
 from app.serve.session import HOME, Session
 from hrc.errors import HrcError
 from hrc.events import Event, MoveObstacle, RemoveObstacle, Vector
+from hrc.geometry import quaternion_from_rotation
 from hrc.messages import Body, Snapshot
 
 LIMITS = ((-1.5, 1.0), (-1.2, 1.2), (0.0, 1.5))
 """Where a gizmo may be dragged: x, y, z [m]."""
 STILL = 0.001
-"""A gizmo within this of its body is where it belongs [m]."""
+"""A gizmo within this of its body, each part of its quaternion too, is where it belongs [m]."""
+UPRIGHT = (1.0, 0.0, 0.0, 0.0)
+"""How an obstacle is brought in, wxyz."""
+SCALE = 0.16
+"""Size of a gizmo; a figure's is a part of its height, so that it stands out of it."""
 
 
 class ObstacleControls:
@@ -29,7 +34,8 @@ class ObstacleControls:
         self._session, self._view, self._refuse = session, view, refuse
         self._server = server
         self._boxes: dict[str, viser.GuiCheckboxHandle] = {}
-        self._asked: dict[str, Vector] = {}
+        self._asked: set[str] = set()
+        self._facing = {name: np.array(UPRIGHT) for name in HOME}
         self._grabbed: dict[int, tuple[str, np.ndarray]] = {}
         self._draggable: dict[str, Any] = {}
         self._gizmos = {name: self._gizmo(name, home) for name, home in HOME.items()}
@@ -51,10 +57,14 @@ class ObstacleControls:
             gizmo.visible = body.present and not body.virtual
             if body.name in self._boxes:
                 self._boxes[body.name].value = body.present
-            position = body.T_world_body[:3, 3]
+            if not body.present or body.name in self._asked:
+                continue
+            position, wxyz = body.T_world_body[:3, 3], quaternion_from_rotation(body.T_world_body[:3, :3])
             # Written only when it has moved: a write in the same moment as a visitor's drag would take its place.
-            if body.present and body.name not in self._asked and np.abs(gizmo.position - position).max() > STILL:
+            if np.abs(gizmo.position - position).max() > STILL:
                 gizmo.position = position
+            if not _same(gizmo.wxyz, wxyz):
+                gizmo.wxyz = self._facing[body.name] = wxyz
 
     def let_go_of(self, client_id: int) -> None:
         """The obstacle that this client drags stays where it is."""
@@ -66,11 +76,11 @@ class ObstacleControls:
 
     def _gizmo(self, name: str, home: Vector) -> viser.TransformControlsHandle:
         gizmo = self._server.scene.add_transform_controls(
-            f"/gizmos/{name}", scale=0.16, disable_rotations=True, disable_sliders=True, translation_limits=LIMITS,
-            position=home, visible=False)
+            f"/gizmos/{name}", scale=SCALE, disable_sliders=True, translation_limits=LIMITS, position=home, visible=False)
 
         async def on_update(event: viser.TransformControlsEvent) -> None:
-            self._move(name, event.target.position)
+            wxyz = event.target.wxyz / np.linalg.norm(event.target.wxyz)
+            self._move(name, event.target.position, None if _same(wxyz, self._facing[name]) else wxyz)
 
         gizmo.on_update(on_update)
         return gizmo
@@ -81,6 +91,9 @@ class ObstacleControls:
         if self._draggable.get(body.name) is node:  # another cell draws its own
             return
         self._draggable[body.name] = node
+        gizmo = self._gizmos[body.name]
+        gizmo.disable_rotations = body.shape == "sphere"
+        gizmo.scale = 0.6 * body.size[0] if body.shape == "figure" else SCALE
 
         async def on_drag(event: viser.SceneNodeDragEvent[Any]) -> None:
             if event.phase == "start":
@@ -100,17 +113,21 @@ class ObstacleControls:
         async def on_update(event: viser.GuiEvent[Any]) -> None:
             if event.client_id is None:  # set by `update`, not by a visitor
                 return
-            self._asked.pop(name, None)
-            self._put(MoveObstacle(name, home) if event.target.value else RemoveObstacle(name))
+            self._asked.discard(name)
+            self._put(MoveObstacle(name, home, UPRIGHT) if event.target.value else RemoveObstacle(name))
 
         return on_update
 
-    def _move(self, name: str, position: Any) -> bool:
+    def _move(self, name: str, position: Any, wxyz: Any = None) -> bool:
+        """wxyz: None if it is as before."""
         low, high = np.transpose(LIMITS)
-        x, y, z = (float(c) for c in np.clip(position, low, high))
-        moved = self._put(MoveObstacle(name, (x, y, z)))  # clipped, so it can always be made
+        x, y, z = np.clip(position, low, high).tolist()
+        turned = None if wxyz is None else tuple(wxyz.tolist())
+        moved = self._put(MoveObstacle(name, (x, y, z), turned))  # clipped, so it can always be made
         if moved:
-            self._asked[name] = (x, y, z)
+            self._asked.add(name)
+            if wxyz is not None:
+                self._facing[name] = wxyz
         return moved
 
     def _put(self, event: Event) -> bool:
@@ -120,3 +137,8 @@ class ObstacleControls:
             self._refuse(str(error))
             return False
         return True
+
+
+def _same(a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether two quaternions are one orientation."""
+    return bool(min(np.abs(a - b).max(), np.abs(a + b).max()) < STILL)

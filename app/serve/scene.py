@@ -103,13 +103,13 @@ class SceneView:
             name, colour = f"/obstacles/{body.name}", _rgb(self._colours.get(body.name, SKIN))
             if body.shape == "sphere":
                 node = self._server.scene.add_icosphere(name, body.size[0], colour, opacity=0.85, visible=False)
-            elif body.shape == "capsule":
-                mesh = meshes.capsule(*body.size)
-                node = self._server.scene.add_mesh_simple(name, mesh.vertices, mesh.faces, color=colour, opacity=0.85,
-                                                          visible=False)
-            else:
+            elif body.shape == "box":
                 x, y, z = (2.0 * half for half in body.size)
                 node = self._server.scene.add_box(name, colour, (x, y, z), opacity=0.85, visible=False)
+            else:
+                mesh = meshes.shape(body.shape, body.size)
+                node = self._server.scene.add_mesh_simple(name, mesh.vertices, mesh.faces, color=colour, opacity=0.85,
+                                                          visible=False)
             self.bodies[body.name] = node
 
 

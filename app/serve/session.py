@@ -25,7 +25,8 @@ from hrc.parameters import replaced
 HANGS, BUILDS = 10.0, 120.0
 """For how long the cell's thread may give no sign of life: while a cell runs, and while one is built [s]."""
 HOME: dict[str, tuple[float, float, float]] = {
-    "ball": (-0.35, 0.55, 0.35), "block": (-0.75, -0.55, 0.30), "slab": (-0.25, -0.60, 0.35)}
+    "ball": (-0.35, 0.55, 0.35), "block": (-0.75, -0.55, 0.30), "slab": (-0.25, -0.60, 0.35), "hand": (0.15, 0.55, 0.35),
+    "forearm": (0.15, -0.55, 0.35), "figure": (-1.25, 0.35, 0.45)}
 """Where an obstacle is brought in [m]: within reach of the mouse, out of reach of the arm on its path."""
 
 

@@ -1,4 +1,4 @@
-"""Obstacles that yield: sliding bodies whose drive is limited in force, and the ways they are moved."""
+"""Obstacles that yield: sliding bodies whose drive is limited in force and torque, and the ways they are moved and turned."""
 
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from hrc.errors import EventError, unknown
 from hrc.events import Event, MoveObstacle, Press, RemoveObstacle
-from hrc.geometry import quaternion_from_rotation, rotation_from_quaternion, transform
+from hrc.geometry import quaternion_from_rotation, rotation_about, rotation_from_quaternion, rotation_vector, transform
 from hrc.messages import Body
 from hrc.parameters import Parameters, param
 from hrc.scene import BodySpec
-from hrc.sim.world import parked
+from hrc.sim.world import geoms, parked
 
 Array = NDArray[np.float64]
 ZETA = 0.7
@@ -28,9 +28,9 @@ class ObstacleConfig(Parameters):
     stiffness: float = param(1000.0, low=10.0, high=5000.0, unit="N/m")
     """Stiffness of the drive towards where the obstacle is dragged."""
     cap: float = param(100.0, low=1.0, high=200.0, unit="N")
-    """No obstacle pushes harder than this."""
+    """No obstacle pushes harder than this, nor is it turned harder than this force at its farthest point would."""
     speed: float = param(0.5, low=0.01, high=2.0, unit="m/s")
-    """No obstacle is dragged faster than this."""
+    """No obstacle is dragged faster than this, nor is its farthest point turned faster."""
 
 
 class LinkSurface(Protocol):
@@ -122,13 +122,45 @@ class Pressing:
         return self._from / np.linalg.norm(self._from)
 
 
+class Turn:
+    """Goes for an orientation at limited speed, and yields to what is in the way.
+
+    A body has no inertia against turning: a viscous drive turns it about its centre, by speed / reach [rad/s] at most, reach
+    [m] being the distance of its farthest point. The torque of its contacts slows it down, holds it at cap * reach [N m], and
+    turns it back above. Meanwhile the body slides as it would, so the net force of its contacts is still that of its drive.
+    Once it is there, within CLOSE, its orientation is fixed.
+    """
+
+    CLOSE = 1e-3
+    """Difference of orientation that is none [rad]."""
+
+    def __init__(self, target: Array) -> None:
+        """target: orientation (3, 3)."""
+        self.target = target
+
+    def step(self, R: Array, torque: Array, reach: float, c: ObstacleConfig, dt: float) -> Array:
+        """The orientation (3, 3) after this tick; the target itself when it is there. torque [N m] (3,): of the contacts."""
+        fastest = c.speed / reach
+        error = rotation_vector(self.target @ R.T)
+        velocity = error * min(fastest / max(float(np.linalg.norm(error)), 1e-9), 1.0 / dt)
+        velocity = velocity + torque * fastest / (c.cap * reach)
+        speed = float(np.linalg.norm(velocity))
+        if speed > 0.0:
+            R = rotation_about(velocity, min(speed, fastest) * dt) @ R
+        if np.linalg.norm(rotation_vector(self.target @ R.T)) < self.CLOSE:
+            return self.target
+        return rotation_from_quaternion(quaternion_from_rotation(R))  # rounding does not add up
+
+
 @dataclass
 class _Obstacle:
     spec: BodySpec
     index: int
     present: bool = False
     mover: Drag | Pressing | None = None
+    turn: Turn | None = None
     R: Array = field(default_factory=lambda: np.eye(3))
+    away: Body = field(init=False)
 
 
 class Obstacles:
@@ -139,7 +171,7 @@ class Obstacles:
         self._model, self._data, self.config = model, data, config
         self._all = {s.name: _Obstacle(s, i) for i, s in enumerate(specs)}
         for obstacle in self._all.values():
-            self._put(obstacle, parked(obstacle.index))
+            self._park(obstacle)
 
     def apply(self, event: Event, robot: LinkSurface) -> None:
         """Take an obstacle event. Raises EventError for an unknown obstacle, or one that has no room to appear."""
@@ -159,10 +191,13 @@ class Obstacles:
     def step(self, dt: float) -> None:
         """Set every drive's force for the coming tick."""
         for obstacle in self._all.values():
-            force = self._data.qfrc_applied[self._dofs(obstacle)]
-            force[:] = 0.0
             if obstacle.mover is None:
                 continue
+            if obstacle.turn is not None:
+                R = obstacle.turn.step(obstacle.R, self._torque(obstacle), obstacle.spec.reach, self.config, dt)
+                if R is obstacle.turn.target:
+                    obstacle.turn = None
+                self._orient(obstacle, R)
             position = self._position(obstacle)
             drive = obstacle.mover.drive(position, self.config, dt)
             if drive is None:
@@ -171,20 +206,19 @@ class Obstacles:
             damping = 2.0 * ZETA * np.sqrt(drive.stiffness * obstacle.spec.mass)
             velocity = self._data.qvel[self._dofs(obstacle)]
             pull = drive.stiffness * (drive.position - position) + damping * (drive.velocity - velocity)
-            force[:] = pull * min(1.0, drive.cap / max(float(np.linalg.norm(pull)), 1e-9))
+            self._data.qfrc_applied[self._dofs(obstacle)] = pull * min(1.0, drive.cap / max(float(np.linalg.norm(pull)), 1e-9))
 
     def bodies(self) -> tuple[Body, ...]:
         """Where they are now."""
-        return tuple(Body(o.spec.name, o.spec.shape, o.spec.size, transform(o.R, self._position(o)), o.present)
-                     for o in self._all.values())
+        return tuple(self._body(o) if o.present else o.away for o in self._all.values())
 
     def _move(self, obstacle: _Obstacle, event: MoveObstacle) -> None:
         target = np.asarray(event.position)
         R = rotation_from_quaternion(event.wxyz) if event.wxyz is not None else obstacle.R
         if not obstacle.present:
             self._appear(obstacle, target, R)
-        elif not np.array_equal(R, obstacle.R):
-            self._appear(obstacle, self._position(obstacle), R)
+        elif event.wxyz is not None:
+            obstacle.turn = Turn(R)
         if isinstance(obstacle.mover, Drag):
             obstacle.mover.target = target
         else:
@@ -194,30 +228,50 @@ class Obstacles:
         """Put the body at this pose at once; EventError, with nothing changed, if the robot is in the way."""
         before = self._data.qpos[self._dofs(obstacle)].copy(), self._data.qvel[self._dofs(obstacle)].copy(), obstacle.R
         self._put(obstacle, position)
-        self._turn(obstacle, R)
+        self._orient(obstacle, R)
         gap = self._room(obstacle)
         if gap < ROOM:
             self._data.qpos[self._dofs(obstacle)], self._data.qvel[self._dofs(obstacle)] = before[:2]
-            self._turn(obstacle, before[2])
+            self._orient(obstacle, before[2])
             raise EventError(f'no room for "{obstacle.spec.name}" there: {max(gap, 0) * 1e3:.0f} mm from the robot, '
                              f"at least {ROOM * 1e3:.0f} mm are needed")
-        obstacle.present = True
+        obstacle.present, obstacle.turn = True, None
 
-    def _turn(self, obstacle: _Obstacle, R: Array) -> None:
+    def _orient(self, obstacle: _Obstacle, R: Array) -> None:
         obstacle.R = R
-        self._model.geom_quat[self._model.geom(obstacle.spec.name).id] = quaternion_from_rotation(R)
+        self._model.body_quat[self._model.body(obstacle.spec.name).id] = quaternion_from_rotation(R)
+
+    def _torque(self, obstacle: _Obstacle) -> Array:
+        """Torque of all contacts on the body, about its origin, after the last tick [N m] (3,)."""
+        own, centre = geoms(self._model, obstacle.spec), self._position(obstacle)
+        torque, wrench = np.zeros(3), np.empty(6)
+        for i in range(self._data.ncon):
+            contact = self._data.contact[i]
+            first, second = (own.start <= geom < own.stop for geom in contact.geom)
+            if first or second:
+                mujoco.mj_contactForce(self._model, self._data, i, wrench)
+                # MuJoCo's normal points from the first geom to the second, and so does the force on the second.
+                force = contact.frame.reshape(3, 3).T @ wrench[:3] * (1.0 if second else -1.0)
+                torque += np.cross(contact.pos - centre, force)
+        return torque
 
     def _room(self, obstacle: _Obstacle) -> float:
         """Distance to the nearest collision geom of the robot [m], up to 0.2 m."""
         mujoco.mj_kinematics(self._model, self._data)
-        own = self._model.geom(obstacle.spec.name).id
-        gaps = [mujoco.mj_geomDistance(self._model, self._data, own, g, 0.2, None)
-                for g in range(self._model.ngeom) if self._model.geom_contype[g] == 1]
+        own = geoms(self._model, obstacle.spec)
+        gaps = [mujoco.mj_geomDistance(self._model, self._data, part, g, 0.2, None)
+                for part in range(own.start, own.stop) for g in range(self._model.ngeom) if self._model.geom_contype[g] == 1]
         return min(gaps, default=0.2)
 
     def _park(self, obstacle: _Obstacle) -> None:
-        obstacle.present, obstacle.mover = False, None
+        obstacle.present, obstacle.mover, obstacle.turn = False, None, None
         self._put(obstacle, parked(obstacle.index))
+        self._data.qfrc_applied[self._dofs(obstacle)] = 0.0
+        obstacle.away = self._body(obstacle)
+
+    def _body(self, obstacle: _Obstacle) -> Body:
+        spec = obstacle.spec
+        return Body(spec.name, spec.shape, spec.size, transform(obstacle.R, self._position(obstacle)), obstacle.present)
 
     def _put(self, obstacle: _Obstacle, position: Array) -> None:
         self._data.qpos[self._dofs(obstacle)] = position

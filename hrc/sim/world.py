@@ -4,6 +4,8 @@ import mujoco
 import numpy as np
 
 from hrc.errors import AssetError
+from hrc.figure import parts
+from hrc.geometry import Array, quaternion_from_rotation
 from hrc.messages import LINKS
 from hrc.model import FLANGE, load_spec
 from hrc.scene import BodySpec, Scene
@@ -35,13 +37,16 @@ def compile_world(scene: Scene, base_hz: int, payload: float = 0.0) -> mujoco.Mj
     for body in scene.bodies:
         _add_obstacle(spec, body)
     try:
-        model = spec.compile()
+        return spec.compile()
     except ValueError as error:
         raise AssetError(f"the robot description cannot be compiled: {' '.join(str(error).split())}") from None
-    # Let an obstacle's geom turn about the body's origin at run time; the compiler took it for fixed.
-    for body in scene.bodies:
-        model.geom_sameframe[model.geom(body.name).id] = 0
-    return model
+
+
+def geoms(model: mujoco.MjModel, body: BodySpec) -> slice:
+    """The geoms of an obstacle."""
+    compiled = model.body(body.name)
+    first = int(compiled.geomadr[0])
+    return slice(first, first + int(compiled.geomnum[0]))
 
 
 def _add_payload(spec: mujoco.MjSpec, mass: float) -> None:
@@ -52,17 +57,28 @@ def _add_payload(spec: mujoco.MjSpec, mass: float) -> None:
 
 
 def _add_obstacle(spec: mujoco.MjSpec, body: BodySpec) -> None:
-    added = spec.worldbody.add_body(name=body.name, pos=[0.0, 0.0, 0.0])
+    added = spec.worldbody.add_body(name=f"{body.name}_slides", pos=[0.0, 0.0, 0.0])
     added.gravcomp = 1.0
     added.mass = body.mass
-    added.inertia = [body.mass * body.radius**2] * 3  # it only slides: any inertia will do
+    added.inertia = [body.mass * body.radius**2] * 3  # no joint turns it: any inertia will do
     added.explicitinertial = True
     for axis, name in zip(np.eye(3), "xyz", strict=True):
         added.add_joint(name=f"{body.name}_{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=list(axis))
+    # A frame of its own, whose orientation is set at run time: bounding boxes turn with it, of a geom's own they would not.
+    turning = added.add_body(name=body.name)
+    if body.shape == "figure":
+        for part in parts(*body.size):
+            _add_geom(turning, part.shape, part.size, part.T_figure_part)
+    else:
+        _add_geom(turning, body.shape, body.size, np.eye(4))
+
+
+def _add_geom(body: mujoco.MjsBody, shape: str, size: tuple[float, ...], T_body_geom: Array) -> None:
     kind = {"sphere": mujoco.mjtGeom.mjGEOM_SPHERE, "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE, "box": mujoco.mjtGeom.mjGEOM_BOX}
-    added.add_geom(
-        name=body.name, type=kind[body.shape], size=[*body.size, 0.0, 0.0][:3], contype=SCENE_BIT,
-        conaffinity=ROBOT_BIT, friction=[0.5, 0.005, 0.0001], priority=1, **SKIN)
+    body.add_geom(
+        type=kind[shape], pos=list(T_body_geom[:3, 3]), quat=list(quaternion_from_rotation(T_body_geom[:3, :3])),
+        size=[*size, 0.0, 0.0][:3], contype=SCENE_BIT, conaffinity=ROBOT_BIT, friction=[0.5, 0.005, 0.0001], priority=1,
+        **SKIN)
 
 
 def parked(index: int) -> np.ndarray:

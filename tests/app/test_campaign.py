@@ -205,9 +205,9 @@ def test_an_episode_touches_the_robot_and_judges_what_is_felt(changes: dict[str,
 
 
 def test_an_episode_that_raises_is_a_record_with_its_error() -> None:
-    record = play(Episode(3, (0, 3), trial(by="obstacle", shape="capsule"), {"episode": 3}))
+    record = play(Episode(3, (0, 3), trial(by="obstacle", shape="capsule", contacts=2), {"episode": 3}))
     assert record["index"] == 3
-    assert "the scene has 0" in record["error"]
+    assert "the scene has 1" in record["error"]
     assert "HrcError" in record["error"]
 
 

@@ -161,7 +161,8 @@ def test_stop_button_cannot_be_killed(bench: Bench, client: VClient, updates: ob
 @pytest.mark.parametrize("position", [(math.nan, 0, 0), (1.0, 2.0), (1e300, 0, 0), ("a", "b", "c"), (True, 1, 1)])
 def test_gizmo_refuses_what_is_no_place(bench: Bench, client: VClient, position: tuple[object, ...]) -> None:
     client.gizmo("/gizmo", position)
-    client.gizmo("/gizmo", (0.1, 0.2, 0.3), wxyz=(0.0, 0.0, 0.0, 0.0))
+    for wxyz in ((0.0, 0.0, 0.0, 0.0), (0.95, 0.0, 0.0, 0.0), (math.nan, 0.0, 0.0, 1.0)):
+        client.gizmo("/gizmo", (0.1, 0.2, 0.3), wxyz=wxyz)
     settled(bench, client)
     assert bench.gizmo.position.tolist() == [0.0, 0.0, 0.0]
 

@@ -72,6 +72,8 @@ def test_log_joins_a_drag_into_one_line_and_escapes() -> None:
         journal.add(Note(2.0, MoveObstacle("ball", (0.0, y, 0.0))))
     assert journal.html().count("<time>") == 2
     assert "(0.00, 0.20, 0.00)" in journal.html()
+    journal.add(Note(2.0, MoveObstacle("slab", (0.0, 0.5, 0.0), (0.5, 0.0, 0.0, -0.866))))
+    assert "slab to (0.00, 0.50, 0.00) m, turned 120 deg" in journal.html()
     journal.add(Note(3.0, Stop("<script>alert(1)</script>")))
     journal.refuse("<img src=x>")
     assert "<script>" not in journal.html()

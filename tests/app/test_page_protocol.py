@@ -156,6 +156,33 @@ def test_obstacle_follows_its_gizmo_and_the_camera_sees_it(raw: VClient) -> None
     assert raw.nodes["/cloud"]["points"].dtype == np.float16
 
 
+def test_a_figure_comes_in_and_a_slab_is_turned(raw: VClient) -> None:
+    until(lambda: "visible" in raw.nodes["/obstacles/figure"])
+    assert not raw.nodes["/obstacles/figure"]["visible"]
+    raw.set("Ball", False)
+    raw.set("Figure", True)
+    until(lambda: raw.nodes["/obstacles/figure"]["visible"])
+    place = np.array(raw.position("/obstacles/figure"))
+
+    def seen() -> bool:
+        points = raw.nodes["/cloud"]["points"].reshape(-1, 3).astype(float)
+        return len(points) > 100 and bool(np.linalg.norm(np.median(points, axis=0) - place) < 0.4)
+
+    until(seen)
+    raw.set("Slab", True)
+    until(lambda: raw.nodes["/obstacles/slab"]["visible"])
+    wxyz = [0.8, 0.0, 0.0, 0.6]
+    raw.gizmo("/gizmos/slab", raw.position("/obstacles/slab").tolist(), wxyz)
+    between = []
+    until(lambda: between.append(raw.nodes["/obstacles/slab"]["wxyz"][0]) or 0.81 < between[-1] < 0.99)
+    until(lambda: np.abs(np.asarray(raw.nodes["/obstacles/slab"]["wxyz"]) - wxyz).max() < 1e-3)
+    until(lambda: "slab to (-0.25, -0.60, 0.35) m, turned 74 deg" in raw.text())
+    raw.set("Slab", False)
+    until(lambda: not raw.nodes["/obstacles/slab"]["visible"])
+    raw.set("Slab", True)
+    until(lambda: raw.nodes["/obstacles/slab"]["visible"] and raw.nodes["/obstacles/slab"]["wxyz"][0] > 0.999)
+
+
 def image(client: VClient, name: str) -> bytes:
     """One of the camera images as it came; every arrival is another object."""
     return client.gui[client.widget(name)]["props"]["_data"]

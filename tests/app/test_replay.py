@@ -43,6 +43,7 @@ PRESS = Press("hand", 3, (0.0, 0.0, -0.07), (0.0, 1.0, 0.0), speed=0.3, depth=0.
 HANDS_ON = {  # by the number of ticks since the session began: at two Resets the cell's own ticks begin anew
     30: [SetParameter("control.f_relax", 6.5), SetParameter("vision.margin", 0.02), MoveObstacle("ball", (-0.5, 0.4, 0.5))],
     100: [PRESS], 333: [RemoveObstacle("nobody"), SetParameter("control.no_such", 1.0)],
+    200: [MoveObstacle("slab", (-0.25, -0.6, 0.35))], 210: [MoveObstacle("slab", (-0.3, -0.5, 0.35), (0.6, 0.0, 0.8, 0.0))],
     650: [MoveCamera("camera", (-0.4, 1.9, 0.9), (-0.3, 0.0, 0.4))],
     700: [Stop("enough"), Resume()], 1301: [SetParameter("push.cap", 40.0), Pull(6, POINT, (-0.4, 0.3, 0.5)), Reset(), PRESS],
     1302: [SetParameter("sensor.noise", 2.0), MoveCamera("camera", (0.3, -1.2, 2.0), (-0.3, 0.0, 0.4))],

@@ -2,13 +2,18 @@
 
 import numpy as np
 import pytest
+import trimesh
+from scipy.spatial import KDTree
 
+from hrc import meshes
 from hrc.cell.cell import Cell
 from hrc.cell.eyes import Sighting, rig
 from hrc.config import PRESETS, Config
 from hrc.errors import AssetError
 from hrc.events import MoveObstacle, SetParameter
+from hrc.geometry import apply
 from hrc.messages import Nearest
+from hrc.vision.camera import Camera
 
 
 def scene(tmp_path, *cameras: str) -> Config:
@@ -89,3 +94,27 @@ def test_a_live_change_of_the_sensor_reaches_every_camera_but_what_the_scene_set
     cell.apply(SetParameter("sensor.noise", 3.0))
     first, second = rig(cell.config)
     assert (first.sensor.noise, second.sensor.noise) == (3.0, 0.0)
+
+
+def test_the_camera_sees_what_a_visitor_may_bring():
+    """Foreground on the body's surface, and only there."""
+    cell, T = Cell(), Camera().T_world_camera
+    places = {"hand": (0.15, 0.55, 0.35), "forearm": (0.15, -0.55, 0.35), "figure": (-1.1, -0.7, 0.5)}
+    for name, position in places.items():
+        cell.apply(MoveObstacle(name, position, (0.8, 0.0, 0.0, 0.6)))
+    for _ in range(300):
+        snapshot = cell.step()
+    foreground = snapshot.views[0].foreground
+    assert foreground is not None
+    v, u = np.nonzero(np.isfinite(foreground.depth) & (foreground.depth > 0.0))
+    seen = apply(T, Camera().unproject(u, v, foreground.depth[v, u]))
+    bodies = [body for body in snapshot.bodies if body.name in places]
+    parts = {"hand": 100, "forearm": 200, "figure": 1000}
+    left = np.ones(len(seen), bool)
+    for body in bodies:
+        mesh = meshes.shape(body.shape, body.size)
+        surface = trimesh.sample.sample_surface(trimesh.Trimesh(mesh.vertices, mesh.faces), 20_000, seed=0)[0]
+        near = KDTree(apply(body.T_world_body, surface)).query(seen)[0] < 0.05
+        assert near.sum() > parts[body.name], body.name
+        left &= ~near
+    assert left.mean() < 0.02

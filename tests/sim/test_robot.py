@@ -6,15 +6,16 @@ import pytest
 from hrc.contact.residual import MomentumObserver, ObserverConfig
 from hrc.errors import EventError
 from hrc.events import MoveObstacle, Press, Pull, Push, Release, RemoveObstacle
-from hrc.geometry import apply
+from hrc.geometry import apply, rotation_about, rotation_from_quaternion, rotation_vector
 from hrc.model import Dynamics, pinocchio_model
 from hrc.scene import load_scene
-from hrc.sim.obstacles import ObstacleConfig
+from hrc.sim.obstacles import ObstacleConfig, Turn
 from hrc.sim.push import PushConfig
 from hrc.sim.robot import PlantConfig, SimulatedRobot
 from hrc.sim.sensor import friction
 
 IDEAL = PlantConfig(torque_noise=0.0, friction_left=0.0)
+TURNED = (0.6, 0.0, 0.64, 0.48)
 Q = np.deg2rad([0.0, 27.0, 0.0, -83.0, 0.0, 69.0, 0.0])
 
 
@@ -154,16 +155,82 @@ def test_no_obstacle_appears_inside_the_robot():
         plant.apply(RemoveObstacle("bal"))
 
 
-def test_a_refused_turn_leaves_everything_as_it_was():
-    """A body beside the arm cannot be turned into it: the force would know no cap."""
+def pose(plant: SimulatedRobot, name: str) -> np.ndarray:
+    return next(b for b in plant.bodies() if b.name == name).T_world_body
+
+
+def angle(R: np.ndarray) -> float:
+    return float(np.linalg.norm(rotation_vector(R)))
+
+
+@pytest.mark.parametrize("name", ["slab", "forearm", "figure"])
+def test_a_free_body_turns_to_its_orientation_without_a_jump(name):
+    plant = robot()
+    plant.apply(MoveObstacle(name, (1.5, 1.5, 0.8), (1.0, 0.0, 0.0, 0.0)))
+    plant.apply(MoveObstacle(name, (1.5, 1.5, 0.8), TURNED))
+    spec = next(b for b in load_scene().bodies if b.name == name)
+    fastest, before = ObstacleConfig().speed / spec.reach * 0.001, pose(plant, name)
+    for _ in range(4000):
+        plant.step(np.zeros(7))
+        now = pose(plant, name)
+        assert angle(now[:3, :3] @ before[:3, :3].T) < 1.01 * fastest + Turn.CLOSE
+        before = now
+    np.testing.assert_allclose(before[:3, :3], rotation_from_quaternion(TURNED), atol=1e-12)
+    np.testing.assert_allclose(before[:3, 3], (1.5, 1.5, 0.8), atol=1e-6)
+
+
+@pytest.mark.parametrize("wxyz", [(0.7071, 0.0, 0.0, 0.7071), (0.7071, 0.7071, 0.0, 0.0)])
+def test_a_body_that_is_turned_into_the_arm_pushes_no_harder_than_one_that_is_dragged(wxyz):
+    """It is 3 cm beside the arm, and its corners are farther out than that; twice, to the same bits."""
+    def turned() -> tuple[list[float], float, np.ndarray, float]:
+        plant = robot()
+        place = near(plant.point(5, np.array([0.0, 0.0, -0.15])), 0.0, 0.17, 0.0)
+        plant.apply(MoveObstacle("slab", place))
+        plant.apply(MoveObstacle("slab", place, wxyz))
+        forces, deepest = [], 0.0
+        for _ in range(2000):
+            plant.step(np.zeros(7))
+            forces.append(float(np.linalg.norm(plant.truth().F_world)))
+            deepest = max(deepest, *(-c.dist for c in plant._data.contact), 0.0)
+        return forces, deepest, pose(plant, "slab"), float(np.linalg.norm(pose(plant, "slab")[:3, 3] - place))
+
+    (forces, deepest, T, yielded), again = turned(), turned()
+    cap = ObstacleConfig().cap
+    assert 0.3 * cap < max(forces) < 1.2 * cap
+    assert np.median(forces[-500:]) < 1.1 * cap
+    assert deepest < 0.015, "what is turned is felt where it is"
+    assert yielded > 0.02, "it makes room for itself"
+    assert angle(T[:3, :3] @ rotation_from_quaternion(wxyz).T) < 1e-9
+    assert forces == again[0]
+    np.testing.assert_array_equal(T, again[2])
+
+
+def test_a_body_that_cannot_be_turned_farther_is_held_and_goes_on_when_there_is_room():
+    R, target, c = np.eye(3), rotation_about([0.0, 0.0, 1.0], 1.0), ObstacleConfig()
+    turn, most = Turn(target), c.cap * 0.2
+    for _ in range(1000):
+        R = turn.step(R, np.array([0.0, 0.0, -most]), 0.2, c, 0.001)
+    assert angle(R) < 1e-9
+    back = turn.step(R, np.array([0.0, 0.0, -1.5 * most]), 0.2, c, 0.001)
+    assert rotation_vector(back)[2] < 0.0
+    for _ in range(1000):
+        R = turn.step(R, np.zeros(3), 0.2, c, 0.001)
+    assert R is target
+
+
+@pytest.mark.parametrize(("name", "start"), [("hand", 0.12), ("forearm", 0.12), ("figure", 0.45)])
+def test_what_a_visitor_may_bring_pushes_back(name, start):
     plant = robot()
     forearm = plant.point(5, np.array([0.0, 0.0, -0.15]))
-    plant.apply(MoveObstacle("slab", near(forearm, 0.0, 0.17, 0.0)))
-    before = next(b for b in plant.bodies() if b.name == "slab").T_world_body
-    with pytest.raises(EventError, match="no room"):
-        plant.apply(MoveObstacle("slab", near(forearm, 0.0, 0.17, 0.0), (0.7071, 0.0, 0.0, 0.7071)))
-    after = next(b for b in plant.bodies() if b.name == "slab").T_world_body
-    np.testing.assert_array_equal(before, after)
+    plant.apply(MoveObstacle(name, near(forearm, 0.0, start, 0.0)))
+    plant.apply(MoveObstacle(name, near(forearm, 0.0, -0.4, 0.0)))
+    forces = []
+    for _ in range(1500):
+        plant.step(np.zeros(7))
+        forces.append(np.linalg.norm(plant.truth().F_world))
+    cap = ObstacleConfig().cap
+    assert 0.5 * cap < np.median(forces[-500:]) < 1.1 * cap
+    assert plant.truth().link > 0
 
 
 def test_a_live_speed_reaches_an_obstacle_on_its_way():
