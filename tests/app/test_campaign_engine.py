@@ -33,7 +33,7 @@ worst = "force_peak_N"
 [set]
 task.kind = "hold"
 camera = { width = 128, height = 106, fx = 91.0, fy = 91.0, cx = 63.0, cy = 51.0 }
-situation = { settle = 0.2, held = 0.1, after = 0.05, judged_from = 0.05, profile = "step" }
+situation = { settle = 0.2, held = 0.1, after = 0.05, judged_from = 0.05, profile = "step", contacts = 2 }
 
 [sweep]
 plant.friction_left = [0.0, 0.3]
@@ -41,7 +41,7 @@ situation.shape = ["sphere", "capsule"]
 situation.by = ["obstacle"]
 """
 EPISODES = 3
-"""At each of four points; the scene has no capsule, so half of all episodes fail."""
+"""At each of four points; the scene has two spheres and one capsule, so half of all episodes fail."""
 
 
 @pytest.fixture(scope="module")
