@@ -28,7 +28,7 @@ def onlooker(keyed: Page) -> Iterator[VClient]:
 def join(page: Page, token: str = TOKEN) -> VClient:
     client = VClient(page.server.get_port(), headers=authorized(token))
     assert client.ready.wait(10.0)
-    until(lambda: client.seat() and client.banner() and ELBOW in client.nodes)
+    until(lambda: client.seat() and client.banner() and client.position(ELBOW) is not None)
     return client
 
 
