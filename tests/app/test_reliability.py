@@ -42,7 +42,7 @@ NOTES_STALE = """() => {
 """When the last new banner was there, and when first it was called stale [s since the epoch]; how many of the last were there
 within 0.3 s of being sent. All clocks are this machine's."""
 STALE, FRAME, BUSY = 1.5, 0.3, 1.0
-"""How long after the last banner the page calls itself stale [s]: from the begin of a frame, and a busy machine draws it later."""
+"""How long after the last banner the page is stale [s]: from the begin of a frame, and a busy machine draws it later."""
 
 
 class Broken:
