@@ -63,6 +63,15 @@ def test_socket_that_stalls_in_mid_drag_lets_go_and_slows_nobody(keyed: Page, on
     stalled.close()
 
 
+def test_line_that_is_torn_in_mid_drag_lets_go_and_frees_the_seat(keyed: Page, onlooker: VClient) -> None:
+    torn = join(keyed)
+    grab(torn)
+    until(lambda: float(onlooker.banner()["truth"]) > 8.0)
+    torn.tear()
+    until(lambda: float(onlooker.banner()["truth"]) == 0.0 and keyed.guard.seat.operator is None, 2.0)
+    until(lambda: onlooker.banner()["mode"] == "idle")
+
+
 def test_twenty_visitors_come_and_go_and_leave_nothing_behind(keyed: Page, onlooker: VClient) -> None:
     until(lambda: len(keyed.server.get_clients()) == 1)
     threads, free = threading.active_count(), len(keyed.guard._free)
