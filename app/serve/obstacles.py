@@ -23,7 +23,7 @@ STILL = 0.001
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 """How an obstacle is brought in, wxyz."""
 SCALE = 0.16
-"""Size of a gizmo; a figure's is a part of its height, so that it stands out of it."""
+"""Size of a sphere's gizmo; the others' stand out of their bodies."""
 
 
 class ObstacleControls:
@@ -93,7 +93,7 @@ class ObstacleControls:
         self._draggable[body.name] = node
         gizmo = self._gizmos[body.name]
         gizmo.disable_rotations = body.shape == "sphere"
-        gizmo.scale = 0.6 * body.size[0] if body.shape == "figure" else SCALE
+        gizmo.scale = {"sphere": SCALE, "figure": 0.6 * body.size[0]}.get(body.shape, 2.0 * max(body.size))
 
         async def on_drag(event: viser.SceneNodeDragEvent[Any]) -> None:
             if event.phase == "start":
