@@ -182,20 +182,23 @@ def test_a_free_body_turns_to_its_orientation_without_a_jump(name):
 @pytest.mark.parametrize("wxyz", [(0.7071, 0.0, 0.0, 0.7071), (0.7071, 0.7071, 0.0, 0.0)])
 def test_a_body_that_is_turned_into_the_arm_pushes_no_harder_than_one_that_is_dragged(wxyz):
     """It is 3 cm beside the arm, and its corners are farther out than that; twice, to the same bits."""
-    def turned() -> tuple[list[float], float, np.ndarray, float]:
+    def turned() -> tuple[list[float], float, np.ndarray, float, int]:
         plant = robot()
         place = near(plant.point(5, np.array([0.0, 0.0, -0.15])), 0.0, 0.17, 0.0)
         plant.apply(MoveObstacle("slab", place))
         plant.apply(MoveObstacle("slab", place, wxyz))
-        forces, deepest = [], 0.0
+        forces, deepest, under_way = [], 0.0, 0
         for _ in range(2000):
             plant.step(np.zeros(7))
+            under_way += angle(pose(plant, "slab")[:3, :3] @ rotation_from_quaternion(wxyz).T) > 0.0
             forces.append(float(np.linalg.norm(plant.truth().F_world)))
             deepest = max(deepest, *(-c.dist for c in plant._data.contact), 0.0)
-        return forces, deepest, pose(plant, "slab"), float(np.linalg.norm(pose(plant, "slab")[:3, 3] - place))
+        return forces, deepest, pose(plant, "slab"), float(np.linalg.norm(pose(plant, "slab")[:3, 3] - place)), under_way
 
-    (forces, deepest, T, yielded), again = turned(), turned()
-    cap = ObstacleConfig().cap
+    (forces, deepest, T, yielded, under_way), again = turned(), turned()
+    cap, reach = ObstacleConfig().cap, np.linalg.norm((0.15, 0.06, 0.15))
+    free = 0.5 * np.pi * reach / ObstacleConfig().speed * 1000
+    assert under_way > 1.05 * free, "the arm holds it up"
     assert 0.3 * cap < max(forces) < 1.2 * cap
     assert np.median(forces[-500:]) < 1.1 * cap
     assert deepest < 0.015, "what is turned is felt where it is"
