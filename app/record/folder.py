@@ -44,8 +44,8 @@ class Entry:
 class EventLog:
     """An observer that keeps every event, as lines of events.jsonl; it must see a session from its start.
 
-    People who drag make ten events a second for as long as a page is open. What is not of the last minute or so is therefore
-    kept compressed: some 50 bytes an event, where the objects themselves would be 450.
+    People who drag make ten events a second for as long as a page is open. What is not of the last ten seconds or so is
+    therefore kept compressed: some 50 bytes an event, where the objects themselves would be 450.
     """
 
     def __init__(self, before: "EventLog | None" = None) -> None:

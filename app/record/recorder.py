@@ -290,8 +290,8 @@ class Recorder:
             self._deliver()
 
     def _deliver(self) -> None:
-        block, self._block = self._block, _Block()
-        if block.n:
+        if self._block.n:  # without a row, what else is in it waits for the next
+            block, self._block = self._block, _Block()
             self._write_block(block)
 
     def _write_block(self, block: _Block) -> None:
@@ -314,9 +314,10 @@ class Recorder:
     def _go_on_in_another_file(self, tick: int) -> None:
         first = self.paths[0]
         path = first.with_name(f"{first.stem}_{len(self.paths) + 1}{first.suffix}")
-        self._claim(path)
-        self.paths.append(path)
-        self._writer.turn_over(path, tick)
+        with self._own.pop_all():  # the file before is whole then, and nobody's
+            self._claim(path)
+            self.paths.append(path)
+            self._writer.turn_over(path, tick)
 
     def _claim(self, path: Path) -> None:
         try:

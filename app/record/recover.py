@@ -78,10 +78,13 @@ def _repair(path: Path, say: Say, *, later: bool = False) -> None:
     found = look(path)
     if found.messages and not found.torn:
         return
-    with output.claimed(path):
-        if later and not found.messages:
-            path.unlink()
-            say(f"{path} had nothing in it yet: removed")
-        else:
-            found = repair(path)
-            say(f"{path} was not written to the end: cut its last {found.torn} of {found.size} bytes")
+    try:
+        with output.claimed(path):
+            if later and not found.messages:
+                path.unlink()
+                say(f"{path} had nothing in it yet: removed")
+            else:
+                found = repair(path)
+                say(f"{path} was not written to the end: cut its last {found.torn} of {found.size} bytes")
+    except OSError as error:  # a folder that cannot be written
+        raise RepairError(f"{path} cannot be mended: {error.strerror}") from None

@@ -65,9 +65,10 @@ class Spool:
 
     def _deliver(self) -> None:
         _, rows = self._files or self._open()
-        rows.write(arrow(typed(self._block[: self._n])).serialize())
-        rows.flush()
-        self._n = 0
+        n, self._n = self._n, 0  # what the disk does not take now is not written again behind a torn block
+        if n:
+            rows.write(arrow(typed(self._block[:n])).serialize())
+            rows.flush()
 
 
 def gather(folder: Path) -> Columns:

@@ -1,8 +1,10 @@
 """A recording that is long, has no room left, or meets another one at its place."""
 
+import contextlib
 import os
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ pytest.importorskip("rerun")
 
 from test_record import column, recorder_of
 from test_repair import ticks_of
+from vclient import until
 
 from app.headless import Job, execute
 from app.output import OutputError
@@ -25,11 +28,25 @@ from hrc.events import MoveObstacle, Reset, SetParameter
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")
 
 
+def held(folder: Path) -> set[str] | None:
+    """The recordings in a folder that this process has open; None where the system does not tell."""
+    own = Path("/proc/self/fd")
+    if not own.is_dir():
+        return None
+    paths = []
+    for link in own.iterdir():
+        with contextlib.suppress(OSError):
+            paths.append(link.readlink())
+    return {path.name for path in paths if path.parent == folder and path.suffix == ".rrd"}
+
+
 def test_a_long_recording_goes_on_in_another_file_and_loses_nothing(tmp_path):
     cell, inbox = Cell(), Inbox(scenario.load("push"))
     inbox.put(MoveObstacle("ball", (-1.0, 0.6, 0.5)))
     with recorder_of(cell, tmp_path / "session.rrd", depth="none", rotate=1.0, wait=True) as recorder:
         run(cell, pace.FreeRun(), inbox, [recorder], until=2600)
+        until(lambda: len(recorder.paths) == 3)
+        until(lambda: held(tmp_path) in ({"session_3.rrd"}, None))
     assert [path.name for path in recorder.paths] == ["session.rrd", "session_2.rrd", "session_3.rrd"]
     assert recordings([tmp_path]) == recorder.paths
     assert all(look(path).finished for path in recorder.paths)
