@@ -1,22 +1,18 @@
 """A hand on the robot: dragging a link with the mouse is a Pull, letting go a Release. Nobody's hand stays behind."""
 
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import viser
 
-from app.serve.pulse import answers
 from app.serve.scene import SceneView
 from app.serve.session import Session
+from app.serve.vigil import Vigil
 from hrc.errors import HrcError
 from hrc.events import Event, Pull, Release, Vector
 from hrc.geometry import apply, inverse
-
-QUIET, PATIENCE = 0.4, 1.5
-"""A mouse held still sends nothing: after QUIET its browser is asked for a sign of life, and has PATIENCE [s]."""
 
 
 @dataclass
@@ -26,7 +22,6 @@ class _Grip:
     client: viser.ClientHandle
     link: int
     point: Vector
-    heard: float
 
 
 class Hands:
@@ -34,22 +29,18 @@ class Hands:
 
     def __init__(self, server: viser.ViserServer, session: Session, view: SceneView,
                  refuse: Callable[[str], None]) -> None:
-        self._server, self._session, self._view, self._refuse = server, session, view, refuse
+        self._session, self._view, self._refuse = session, view, refuse
         self._grip: _Grip | None = None
-        self._lock = threading.Lock()  # a Pull must not follow the Release that the watch sent
-        self._held, self._closed = threading.Event(), False
+        self._lock = threading.Lock()  # a Pull must not follow the Release that the vigil led to
         for link, node in enumerate(view.links[1:], start=1):
             for modifier in (None, "cmd/ctrl"):
                 node.on_drag("left", modifier=modifier)(self._handler(link))
         server.on_client_disconnect(self._on_leave)
-        self._watch = threading.Thread(target=self._watch_holder, name="hands", daemon=True)
-        self._watch.start()
+        self._vigil = Vigil(server, "hands", self._abandoned)
 
     def close(self) -> None:
         """End the watch."""
-        self._closed = True
-        self._held.set()
-        self._watch.join(timeout=3.0)
+        self._vigil.close()
 
     def _handler(self, link: int) -> Callable[[Any], Any]:
         async def on_drag(event: viser.SceneNodeDragEvent[Any]) -> None:
@@ -68,9 +59,9 @@ class Hands:
         elif event.phase == "start":
             # The browser clicked on the pose it was shown, not on the newest one.
             x, y, z = (float(c) for c in apply(inverse(self._view.shown[link]), event.start_position))
-            self._hold(_Grip(event.client, link, (x, y, z), time.monotonic()), event.end_position)
+            self._hold(_Grip(event.client, link, (x, y, z)), event.end_position)
         elif grip is not None and grip.link == link:
-            grip.heard = time.monotonic()
+            self._vigil.hears(grip.client)
             self._put(lambda: Pull(link, grip.point, event.end_position))
 
     def let_go_of(self, client_id: int) -> None:
@@ -83,15 +74,22 @@ class Hands:
     async def _on_leave(self, client: viser.ClientHandle) -> None:
         self.let_go_of(client.client_id)
 
+    def _abandoned(self, client: viser.ClientHandle) -> None:
+        with self._lock:
+            grip = self._grip
+            if grip is not None and grip.client is client:
+                self._refuse("the browser that held the arm does not answer: let go")
+                self._let_go(grip)
+
     def _hold(self, grip: _Grip, target: Vector) -> None:
         if self._put(lambda: Pull(grip.link, grip.point, target)):
             self._grip = grip
-            self._held.set()
+            self._vigil.hears(grip.client)
 
     def _let_go(self, grip: _Grip | None) -> None:
         if grip is not None and self._grip is grip:
             self._grip = None
-            self._held.clear()
+            self._vigil.ends()
             self._put(Release)
 
     def _put(self, event: Callable[[], Event]) -> bool:
@@ -102,18 +100,3 @@ class Hands:
             self._refuse(str(error))
             return False
         return True
-
-    def _watch_holder(self) -> None:
-        """A closed tab says so; a frozen one, or a dead line, does not. Ask whoever holds the arm in silence."""
-        while not self._closed:
-            self._held.wait()
-            time.sleep(0.1)
-            grip = self._grip
-            if grip is None or time.monotonic() - grip.heard < QUIET:
-                continue
-            if answers(self._server, grip.client, PATIENCE):
-                grip.heard = time.monotonic()
-            else:
-                self._refuse("the browser that held the arm does not answer: let go")
-                with self._lock:
-                    self._let_go(grip)

@@ -81,7 +81,7 @@ class Page:
         theme = Theme(self.server)
         view, forces, cameras = SceneView(self.server), ForceView(self.server), CameraView(self.server)
         distances, signals = DistanceView(self.server), SignalView(self.server)
-        obstacles = ObstacleControls(self.server, self.session, view, self.journal.refuse)
+        self._obstacles = obstacles = ObstacleControls(self.server, self.session, view, self.journal.refuse)
         placing = CameraControls(self.server, self.session, self.journal.refuse)
         steering = Steering(self.server, self.session, self.journal.refuse)
         tuning = Tuning(self.server, self.session, config, self.journal)
@@ -117,6 +117,7 @@ class Page:
     def close(self) -> None:
         """Stop the cell, then the page."""
         self._hands.close()
+        self._obstacles.close()
         self.session.close()
         self._publisher.close()
         self._holes.close()

@@ -3,6 +3,7 @@
 The drawn body is where the plant has it; the gizmo is where its drive, limited in force and torque, is asked to go.
 """
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +12,7 @@ import viser
 
 from app.serve.scene import SceneView
 from app.serve.session import HOME, Session
+from app.serve.vigil import Vigil
 from hrc.errors import HrcError
 from hrc.events import Event, MoveObstacle, RemoveObstacle, Vector
 from hrc.geometry import quaternion_from_rotation
@@ -22,6 +24,8 @@ STILL = 0.001
 """A gizmo within this of its body, each part of its quaternion too, is where it belongs [m]."""
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 """How an obstacle is brought in, wxyz."""
+GRANTED = 0.5
+"""How long a wish to have an obstacle in or out may take [s]; then its box shows again what is."""
 SCALE = 0.16
 """Size of a sphere's gizmo; the others' stand out of their bodies."""
 
@@ -35,10 +39,18 @@ class ObstacleControls:
         self._server = server
         self._boxes: dict[str, viser.GuiCheckboxHandle] = {}
         self._asked: set[str] = set()
+        self._wished: dict[str, tuple[bool, float]] = {}
         self._facing = {name: np.array(UPRIGHT) for name in HOME}
         self._grabbed: dict[int, tuple[str, np.ndarray]] = {}
+        self._held: dict[int, str] = {}
+        self._poses: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self._draggable: dict[str, Any] = {}
         self._gizmos = {name: self._gizmo(name, home) for name, home in HOME.items()}
+        self._vigil = Vigil(server, "obstacles", self._abandoned)
+
+    def close(self) -> None:
+        """End the watch over who drags."""
+        self._vigil.close()
 
     def add_boxes(self) -> None:
         """A checkbox for each obstacle, in the present container."""
@@ -55,11 +67,18 @@ class ObstacleControls:
             self._make_draggable(body)
             gizmo = self._gizmos[body.name]
             gizmo.visible = body.present and not body.virtual
-            if body.name in self._boxes:
+            wish, since = self._wished.get(body.name, (body.present, 0.0))
+            # A box that showed what was would take the next click for no change.
+            if body.name in self._boxes and (wish == body.present or time.monotonic() - since > GRANTED):
+                self._wished.pop(body.name, None)
                 self._boxes[body.name].value = body.present
-            if not body.present or body.name in self._asked:
+            if not body.present:
+                self._poses.pop(body.name, None)
                 continue
             position, wxyz = body.T_world_body[:3, 3], quaternion_from_rotation(body.T_world_body[:3, :3])
+            self._poses[body.name] = position, wxyz
+            if body.name in self._asked:
+                continue
             # Written only when it has moved: a write in the same moment as a visitor's drag would take its place.
             if np.abs(gizmo.position - position).max() > STILL:
                 gizmo.position = position
@@ -67,8 +86,14 @@ class ObstacleControls:
                 gizmo.wxyz = self._facing[body.name] = wxyz
 
     def let_go_of(self, client_id: int) -> None:
-        """The obstacle that this client drags stays where it is."""
+        """The obstacle that this client drags stays where it is, be its target far inside of the arm."""
         self._grabbed.pop(client_id, None)
+        name = self._held.pop(client_id, None)
+        if name is None:
+            return
+        self._vigil.ends()
+        if name in self._poses and self._move(name, *self._poses[name]):
+            self._asked.discard(name)  # its gizmo comes back to it
 
     def forget(self) -> None:
         """After a reset nothing is asked for any more."""
@@ -79,11 +104,35 @@ class ObstacleControls:
             f"/gizmos/{name}", scale=SCALE, disable_sliders=True, translation_limits=LIMITS, position=home, visible=False)
 
         async def on_update(event: viser.TransformControlsEvent) -> None:
+            if not self._hears(event, name):
+                return
             wxyz = event.target.wxyz / np.linalg.norm(event.target.wxyz)
             self._move(name, event.target.position, None if _same(wxyz, self._facing[name]) else wxyz)
 
         gizmo.on_update(on_update)
         return gizmo
+
+    def _hears(self, event: "viser.TransformControlsEvent | viser.SceneNodeDragEvent[Any]", name: str) -> bool:
+        """Whether somebody drags this obstacle, who then holds it until he lets go. Who has left gets an end by viser."""
+        client, holder = event.client, event.client_id
+        if client is None or holder is None:
+            return False
+        if holder not in self._server.get_clients():
+            self.let_go_of(holder)
+            return False
+        if event.phase == "end":
+            self._held.pop(holder, None)
+            self._vigil.ends()
+        else:
+            self._held[holder] = name
+            self._vigil.hears(client)
+        return True
+
+    def _abandoned(self, client: viser.ClientHandle) -> None:
+        name = self._held.get(client.client_id)
+        if name is not None:
+            self._refuse(f"the browser that held the {name} does not answer: it stays where it is")
+            self.let_go_of(client.client_id)
 
     def _make_draggable(self, body: Body) -> None:
         """The body itself can be dragged too, in the plane of the screen."""
@@ -96,6 +145,8 @@ class ObstacleControls:
         gizmo.scale = {"sphere": SCALE, "figure": 0.6 * body.size[0]}.get(body.shape, 2.0 * max(body.size))
 
         async def on_drag(event: viser.SceneNodeDragEvent[Any]) -> None:
+            if not self._hears(event, body.name):
+                return
             if event.phase == "start":
                 offset = np.asarray(event.target.position) - np.asarray(event.start_position)
                 self._grabbed[event.client_id] = (body.name, offset)
@@ -114,6 +165,7 @@ class ObstacleControls:
             if event.client_id is None:  # set by `update`, not by a visitor
                 return
             self._asked.discard(name)
+            self._wished[name] = event.target.value, time.monotonic()
             self._put(MoveObstacle(name, home, UPRIGHT) if event.target.value else RemoveObstacle(name))
 
         return on_update

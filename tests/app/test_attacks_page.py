@@ -13,7 +13,7 @@ from vclient import VClient, until
 
 from app.serve.main import Page
 
-ELBOW = "/robot/link_4"
+ELBOW, BALL = "/robot/link_4", "/gizmos/ball"
 
 
 @pytest.fixture
@@ -70,6 +70,41 @@ def test_line_that_is_torn_in_mid_drag_lets_go_and_frees_the_seat(keyed: Page, o
     torn.tear()
     until(lambda: float(onlooker.banner()["truth"]) == 0.0 and keyed.guard.seat.operator is None, 2.0)
     until(lambda: onlooker.banner()["mode"] == "idle")
+
+
+def test_an_obstacle_stays_where_it_is_when_who_drags_it_into_the_arm_is_torn_off(keyed: Page, onlooker: VClient) -> None:
+    torn = join(keyed)
+    beside = torn.position(ELBOW) + np.array([0.0, 0.25, 0.0])
+    torn.gizmo(BALL, beside.tolist())
+    until(lambda: np.linalg.norm(onlooker.position("/obstacles/ball") - beside) < 0.02)
+    torn.gizmo(BALL, (beside - np.array([0.0, 0.6, 0.0])).tolist())
+    until(lambda: float(onlooker.banner()["truth"]) > 8.0)
+    assert distance(onlooker) > 0.1
+    torn.tear()
+    until(lambda: keyed.guard.seat.operator is None and distance(onlooker) < 0.03, 3.0)
+    keyed.session.reset()
+    until(lambda: onlooker.banner()["mode"] == "idle" and float(onlooker.banner()["time"]) < 5.0)
+
+
+def test_an_obstacle_stays_where_it_is_when_the_browser_that_drags_it_freezes(keyed: Page, onlooker: VClient) -> None:
+    stalled, thawed = join(keyed), threading.Event()
+    beside = stalled.position(ELBOW) + np.array([0.0, 0.25, 0.0])
+    stalled.gizmo(BALL, beside.tolist())
+    until(lambda: np.linalg.norm(onlooker.position("/obstacles/ball") - beside) < 0.02)
+    stalled.gizmo(BALL, (beside - np.array([0.0, 0.6, 0.0])).tolist())
+    until(lambda: float(onlooker.banner()["truth"]) > 8.0)
+    stalled.freeze(thawed)
+    until(lambda: distance(onlooker) < 0.03, 8.0)
+    until(lambda: "the browser that held the ball does not answer" in onlooker.text())
+    thawed.set()
+    stalled.close()
+    keyed.session.reset()
+    until(lambda: onlooker.banner()["mode"] == "idle" and float(onlooker.banner()["time"]) < 5.0)
+
+
+def distance(client: VClient) -> float:
+    """Of the ball from where it is asked to go."""
+    return float(np.linalg.norm(client.position(BALL) - client.position("/obstacles/ball")))
 
 
 def test_twenty_visitors_come_and_go_and_leave_nothing_behind(keyed: Page, onlooker: VClient) -> None:
