@@ -4,7 +4,7 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,7 @@ def read(file: Path) -> list[tuple[str, Any]]:
     """
     settings = list(flat(toml_file.read(file, "settings", ConfigError)).items())
     try:
-        _changed(Config(), settings)
+        changed(Config(), settings)
     except ConfigError as error:
         raise ConfigError(f"{file.name}: {error}") from None
     return settings
@@ -94,7 +94,8 @@ def ordered(config: Config, wanted: Mapping[str, Any]) -> tuple[tuple[tuple[str,
             try:
                 config = replaced(config, key, value)
             except ConfigError as error:
-                refused[key] = f"{key}: {error}"
+                # A refused value names only the field; a refused key is in the message already.
+                refused[key] = f"{key}: {error}" if key in keys(config) else str(error)
             else:
                 done.append((key, left.pop(key)))
         if len(left) == before:
@@ -121,13 +122,14 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return out
 
 
-def _changed(config: Config, settings: Sequence[tuple[str, Any]]) -> Config:
-    for key, value in settings:
-        try:
-            config = replaced(config, key, value)
-        except ConfigError as error:
-            # A refused value names only the field; a refused key is in the message already.
-            raise ConfigError(f"{key}: {error}" if key in keys(config) else str(error)) from None
+def changed(config: Config, settings: Iterable[tuple[str, Any]]) -> Config:
+    """The config with these values, whatever their order; of two for a key the later. Raises ConfigError that names all
+    that cannot be."""
+    done, refused = ordered(config, dict(settings))
+    if refused:
+        raise ConfigError("; ".join(refused))
+    for key, value in done:
+        config = replaced(config, key, value)
     return config
 
 
@@ -139,7 +141,7 @@ def configured(preset: str = "default", scenario: Scenario | None = None, settin
     config = PRESETS[preset]()
     if scenario is not None:
         config = scenario.configured(config)
-    config = _changed(config, [*(read(file) if file else ()), *map(parse, settings)])
+    config = changed(config, [*(read(file) if file else ()), *map(parse, settings)])
     return config if seed is None else replaced(config, "seed", seed)
 
 

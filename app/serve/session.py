@@ -12,6 +12,7 @@ from typing import Any
 
 from app.serve.mailbox import Mailbox
 from app.serve.stopwatch import TimedCell
+from app.settings import changed
 from hrc.cell import scenario
 from hrc.cell.pace import RealTime
 from hrc.cell.run import Inbox, Observer, run
@@ -20,7 +21,6 @@ from hrc.config import Config
 from hrc.errors import HrcError
 from hrc.events import Event, MoveObstacle, Press, Reset, Resume, Stop
 from hrc.messages import Snapshot
-from hrc.parameters import replaced
 
 HANGS, BUILDS = 10.0, 120.0
 """For how long the cell's thread may give no sign of life: while a cell runs, and while one is built [s]."""
@@ -66,13 +66,18 @@ class _Shield:
 
 
 class _Inbox(Inbox):
-    """Remembers what it gave out for the step that is being taken: if that step fails, no snapshot tells of it."""
+    """Remembers what it gave out for the step that is being taken: if that step fails, no snapshot tells of it.
+
+    alive: when that was [s, monotonic].
+    """
 
     def __init__(self, script: Scenario, base_hz: int) -> None:
         super().__init__(script, base_hz)
         self.given: list[Event] = []
+        self.alive = time.monotonic()
 
     def take(self, tick: int) -> list[Event]:
+        self.alive = time.monotonic()
         due = super().take(tick)
         self.given = due.copy() if tick else self.given + due  # at tick 0 once more in the same step, after a Reset
         return due
@@ -106,10 +111,7 @@ class Session:
 
     def check(self, name: str) -> Config:
         """The config that a scenario would run with. Raises ScenarioError or ConfigError."""
-        config = scenario.load(name).configured(Config().replace(seed=self._seed))
-        for key, value in self._settings.items():
-            config = replaced(config, key, value)
-        return config
+        return changed(scenario.load(name).configured(Config().replace(seed=self._seed)), self._settings.items())
 
     def start(self, name: str) -> None:
         """Begin with a scenario."""
@@ -193,8 +195,9 @@ class Session:
 
     @property
     def silence(self) -> float:
-        """For how long the cell's thread has not come round [s]; it does so a thousand times a second, paused or not."""
-        return time.monotonic() - self._alive
+        """For how long the cell's thread has not come round [s]; it does so with each step, or while there is none to take."""
+        inbox = self._inbox
+        return time.monotonic() - (self._alive if inbox is None else max(self._alive, inbox.alive))
 
     def stages(self) -> Mapping[str, tuple[float, float]]:
         """Of each stage of the cell the time of one run [s], and its part of a core."""
@@ -208,7 +211,9 @@ class Session:
                 traceback.print_exc(file=sys.stderr)
                 what = f"{type(error).__name__}: {error}"
                 self._mailbox.fail(self._inbox.given if self._inbox is not None else (), f"the cell failed ({what})")
-                self.status = Status(Phase.FAILED, f"{what}. Reset or choose a scenario.")
+                with self._lock:
+                    if self._wanted.empty():  # else somebody has already chosen again
+                        self.status = Status(Phase.FAILED, f"{what}. Reset or choose a scenario.")
                 self._say(f"the cell failed ({what}); the page lives on")
             self._inbox = None
         self.status = Status(Phase.CLOSED, "the server is closing")
@@ -219,7 +224,9 @@ class Session:
             return
         self._mailbox.clear()
         note = "building the cell and compiling its kernels (about 5 s the first time)"
-        self.status = Status(Phase.STARTING, f'"{name}": {note}')
+        with self._lock:
+            if self._stop is None:
+                self.status = Status(Phase.STARTING, f'"{name}": {note}')
         self._say(f'starting "{name}": {note} ...')
         script, config = scenario.load(name), self.check(name)
         cell = self._cell = TimedCell(config, self._device)

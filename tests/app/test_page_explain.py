@@ -16,11 +16,12 @@ from app.serve.inputs import fine_step
 from app.serve.mailbox import Mailbox
 from app.serve.main import Page
 from app.serve.session import Session
-from app.settings import ordered, read, sift, written
+from app.settings import changed, configured, read, sift, written
 from hrc.cell.cell import Cell
 from hrc.config import Config, literal
+from hrc.errors import ConfigError
 from hrc.messages import Snapshot
-from hrc.parameters import field_of, keys, replaced
+from hrc.parameters import field_of, keys
 
 LIVE = [key for key in keys(Config()) if field_of(Config(), key).metadata["live"]]
 
@@ -162,13 +163,15 @@ def test_nobody_uploads_to_another_widget(served: Page, raw: VClient) -> None:
 
 
 def test_what_is_saved_is_what_the_command_line_reads(tmp_path: Any) -> None:
-    for config in (Config(), literal(), Config(seed=3, scene='a "b"\\c')):
+    higher = changed(Config(), [("control.f_relax", 40.0), ("control.f_abort", 60.0)])
+    for config in (Config(), literal(), Config(seed=3, scene='a "b"\\c'), higher):
         file = tmp_path / "saved.toml"
         file.write_text(written(config), encoding="utf-8")
-        again = Config()
-        for key, value in ordered(again, dict(read(file)))[0]:
-            again = replaced(again, key, value)
-        assert again == config
+        assert changed(Config(), read(file)) == config
+        assert configured(file=file) == config
+    file.write_text("control.f_relax = 40.0\ncontrol.nothing = 1\nvision.margin = 9.0\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"saved\.toml: .*f_relax.*control\.nothing.*vision\.margin"):
+        read(file)
 
 
 def test_a_file_is_sifted() -> None:
