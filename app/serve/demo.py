@@ -84,7 +84,7 @@ class Demo:
 
     def begin(self) -> None:
         """The cell is at its start: of the demo, if somebody asked for it; another start ends one that runs."""
-        asked = self._asked
+        asked = self._asked and self._session.scenario == SCENARIO
         self._end()
         if asked:
             self._enter(0, 0.0)

@@ -18,7 +18,7 @@ NONE: str = "-"
 """Choice in the list while there is no recording."""
 START, STOP = "Record", "End the recording"
 LOAD_AFTER = 8.0
-"""How long after somebody first sees the robot move the recorder is loaded [s], for then a click need not wait for it."""
+"""How long after the first cell runs the recorder is loaded [s], for then a click need not wait for it."""
 
 
 class RecordingControls:
@@ -96,8 +96,8 @@ class RecordingControls:
 
     def _begin(self, _: Any) -> None:
         config, depth = self._session.config, self._depth.value
-        if config is None:
-            raise HrcError("the cell is not running")
+        if config is None or self._session.status.phase is not Phase.RUNNING:
+            raise HrcError(f"there is nothing to record: the cell is not running ({self._session.status.text})")
         name = self.archive.start(self._session.scenario, config, versions(), depth)
         self._journal.tell(f"recording {name}")
 

@@ -78,7 +78,10 @@ class SeatBox:
         self._show()
 
     def update(self) -> None:
-        """Tell everybody how long the line to him takes."""
+        """Tell everybody how long the line to him takes; from any thread, and done where the seat changes."""
+        self._server.get_event_loop().call_soon_threadsafe(self._tell_all)
+
+    def _tell_all(self) -> None:
         for visitor, box in list(self._boxes.items()):
             self._tell(visitor, box)
 

@@ -54,8 +54,20 @@ def test_a_cell_that_makes_room_for_another_ends_its_recording_and_says_so(serve
     until(lambda: raw.banner()["mode"] == "idle", 60.0)
 
 
+def test_nothing_is_recorded_while_another_cell_is_built(served: Page, raw: VClient) -> None:
+    served.session.open("push")
+    raw.click("Record")
+    until(lambda: "there is nothing to record" in raw.text())
+    until(lambda: raw.banner()["mode"] == "idle", 60.0)
+    assert served.recordings.archive.now is None
+    assert served.recordings.archive.names() == []
+    raw.set("Scenario", "free")
+    until(lambda: raw.banner()["mode"] == "starting", 60.0)
+    until(lambda: raw.banner()["mode"] == "idle", 60.0)
+
+
 @pytest.mark.live
-def test_the_recorder_is_loaded_once_somebody_sees_the_robot_move(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_recorder_is_loaded_some_time_after_the_robot_moves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     loaded: list[float] = []
     monkeypatch.setattr(recordings, "load", lambda: loaded.append(page.session.healthy))
     monkeypatch.setattr(recordings, "LOAD_AFTER", 0.2)
