@@ -18,6 +18,7 @@ from app.campaign.metrics import METRICS
 from app.campaign.plan import Campaign, CampaignError
 from app.campaign.store import Record, Store, opened
 from app.interrupt import Interrupt
+from app.output import OutputError
 from hrc.errors import HrcError
 
 TABLE, SUMMARY = "records.parquet", "summary.parquet"
@@ -75,7 +76,10 @@ def execute(job: Job) -> bool:
             with interrupt.listening():
                 _play(job, campaign, store, missing, interrupt)
         records = _of(campaign, store)
-        problem = _write(job, campaign, store.folder, records, fresh=bool(missing))
+        try:
+            problem = _write(job, campaign, store.folder, records, fresh=bool(missing))
+        except OSError as error:
+            raise OutputError(f"{job.out}: {error.strerror or error}; all records are kept") from None
         if not job.quiet:
             print("\n".join(summary.printed(campaign, summary.rows(campaign, records))))
         print("\n".join([*_errors(records), f"{job.out}: {len(records)} of {campaign.total} records"]))

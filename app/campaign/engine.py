@@ -87,7 +87,8 @@ def _remote(cluster: Cluster, stack: ExitStack) -> Any:
     try:
         client = stack.enter_context(Client(cluster.address, security=tls, timeout=PATIENCE))
     except (OSError, ValueError, RuntimeError) as error:
-        raise CampaignError(f"there is no scheduler that answers at {cluster.address}: "
+        how = "" if tls is None else " with TLS"  # one without would be asked by tcp://
+        raise CampaignError(f"there is no scheduler that answers{how} at {cluster.address}: "
                             f"{str(error) or type(error).__name__}") from None
     try:
         client.wait_for_workers(1, timeout=FIRST)

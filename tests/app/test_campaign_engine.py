@@ -204,6 +204,29 @@ def test_a_cluster_behind_tls_plays_everything_although_a_worker_is_killed(
             list(playing)
 
 
+def test_a_scheduler_without_tls_is_none_for_who_asks_for_it(pem: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine_module, "PATIENCE", 2.0)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    code = "import sys; from distributed.cli import dask_scheduler; sys.exit(dask_scheduler.main())"
+    plain = subprocess.Popen([sys.executable, "-c", code, "--host", f"tcp://127.0.0.1:{port}", "--no-dashboard"],
+                             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        wait(lambda: _listens(port))
+        with (pytest.raises(CampaignError, match=f"no scheduler that answers with TLS at tls://127.0.0.1:{port}"),
+              engine(Cluster(f"tls://127.0.0.1:{port}", None, pem[0], *pem))):
+            pass
+    finally:
+        plain.kill()
+        plain.wait()
+
+
+def _listens(port: int) -> bool:
+    with socket.socket() as door:
+        return door.connect_ex(("127.0.0.1", port)) == 0
+
+
 def test_an_unreachable_scheduler_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine_module, "PATIENCE", 1.0)
     with socket.socket() as closed:
