@@ -41,6 +41,7 @@ class SceneView:
             "/trail", np.zeros((1, 2, 3), np.float32), TRAIL_COLOUR, thickness=0.004, visible=False)
         self._path: deque[Array] = deque(maxlen=TRAIL_POINTS)
         self.bodies: dict[str, Any] = {}
+        self._poses: dict[str, bytes] = {}
         self._environment: list[Any] = []
         self._colours: dict[str, Sequence[float]] = {}
         self.show_trail = True
@@ -50,6 +51,7 @@ class SceneView:
         for node in (*self._environment, *self.bodies.values()):
             node.remove()
         self.bodies.clear()
+        self._poses.clear()
         self._path.clear()
         self._colours = {spec.name: spec.rgb for spec in scene.bodies}
         self._environment = []
@@ -70,12 +72,12 @@ class SceneView:
         self._create(snapshot.bodies)
         placed = [(node, T, True) for node, T in zip(self.links, snapshot.T_world_link, strict=True)]
         placed += [(self.bodies[body.name], body.T_world_body, body.present) for body in snapshot.bodies]
-        poses = [(node, T[:3, 3], quaternion_from_rotation(T[:3, :3]), present) for node, T, present in placed]
         with self._server.atomic():
-            for node, position, wxyz, present in poses:
+            for node, T, present in placed:
                 node.visible = present
-                if present:
-                    node.position, node.wxyz = position, wxyz
+                if present and self._poses.get(node.name) != (pose := T.tobytes()):  # most obstacles stand still
+                    self._poses[node.name] = pose
+                    node.position, node.wxyz = T[:3, 3], quaternion_from_rotation(T[:3, :3])
         self.shown = snapshot.T_world_link
 
     def update_trail(self, snapshot: Snapshot) -> None:

@@ -83,10 +83,11 @@ class Pressing:
     AWAY = 0.5
     """It is done when it has withdrawn this far [m]."""
 
-    def __init__(self, press: Press, body: BodySpec, robot: LinkSurface) -> None:
+    def __init__(self, press: Press, body: BodySpec, R: Array, robot: LinkSurface) -> None:
+        """R: the body's orientation (3, 3)."""
         self._press = press
         self._n = np.asarray(press.direction)
-        extent = body.extent(self._n)
+        extent = body.extent(R.T @ self._n)
         self._point = np.asarray(press.point)
         self._standoff = robot.reach(press.link, self._point, -self._n) + extent
         self._from = np.asarray(press.aside) if press.aside is not None else -self.GAP * self._n
@@ -182,7 +183,7 @@ class Obstacles:
             if isinstance(event, RemoveObstacle):
                 self._park(obstacle)
             elif isinstance(event, Press):
-                pressing = Pressing(event, obstacle.spec, robot)
+                pressing = Pressing(event, obstacle.spec, obstacle.R, robot)
                 self._appear(obstacle, pressing.start(), obstacle.R)
                 obstacle.mover = pressing
             else:

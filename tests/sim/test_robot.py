@@ -260,6 +260,18 @@ def test_a_pressing_obstacle_comes_presses_and_goes():
     assert not plant.bodies()[0].present
 
 
+def test_a_body_that_was_turned_presses_with_the_side_that_it_shows():
+    plant, turned = robot(), (np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))  # 90 deg about z
+    plant.apply(MoveObstacle("slab", (0.0, -0.9, 0.5), turned))
+    plant.apply(Press("slab", 3, (0.0, 0.0, -0.07), (0.0, 1.0, 0.0), speed=0.12, depth=0.08, hold=0.5, stiffness=200.0))
+    touched = []
+    for k in range(1200):
+        plant.step(np.zeros(7))
+        if np.linalg.norm(plant.truth().F_world) > 1.0:
+            touched.append(k)
+    assert 400 <= touched[0] <= 800, "a wide slab meets more of the arm than that point, and some of it before"
+
+
 def test_the_blocked_arm_does_not_whip_when_freed():
     """A leash on the servo's reference: what cannot be followed is not stored."""
     plant = robot()
