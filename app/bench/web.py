@@ -25,12 +25,16 @@ from hrc.messages import Snapshot
 
 SECONDS, QUICK_SECONDS = 20.0, 4.0
 BUDGET = {"bytes_per_s": 2e6, "page_cores": 0.20, "input_to_force_p95_s": 0.050, "real_time_factor": 0.99}
-"""The most of each for the largest audience, of the real-time factor the least."""
+"""The most of each for the largest audience; of the real-time factor the least, for every audience."""
 
 
 @dataclass(frozen=True)
 class Audience:
-    """Who is there: visitors without a browser, of whom the first drives if somebody does, and perhaps a Chromium."""
+    """Who is there: visitors without a browser, of whom the first drives if somebody does, and perhaps a Chromium.
+
+    Visitors are at machines of their own: their process gives way to the page, and so does a Chromium that comes with them.
+    One that comes alone is on the page's machine and shares its cores on equal terms.
+    """
 
     name: str
     raw: int
@@ -101,7 +105,7 @@ def _row(audience: Audience, page: Page, felt: Felt, pool: ProcessPoolExecutor, 
         tab = None
         if audience.browser:
             try:
-                tab = opened(stack.enter_context(launched()), page.url)
+                tab = opened(stack.enter_context(launched(aside=audience.raw > 0)), page.url)
             except (FileNotFoundError, ModuleNotFoundError) as error:
                 return {"name": audience.name, "missing": str(error)}
         watchers = audience.raw
@@ -176,12 +180,13 @@ def printed(figures: dict[str, Any]) -> Iterator[str]:
 
 
 def judged(figures: dict[str, Any]) -> dict[str, str]:
-    """Each line of the budget, and whether the largest audience keeps it."""
-    row = figures["rows"][-1]
-    if "missing" in row:
+    """Each line of the budget, and whether it is kept; none without the browser."""
+    *_, row = rows = figures["rows"]
+    if any("missing" in row for row in rows):
         return {}
-    got = {"bytes_per_s": row["bytes_per_s"], "page_cores": row["page_cores"], "real_time_factor": row["real_time_factor"],
-           "input_to_force_p95_s": row["input_to_force"]["p95_s"]}
+    got = {"bytes_per_s": row["bytes_per_s"], "page_cores": row["page_cores"],
+           "input_to_force_p95_s": row["input_to_force"]["p95_s"],
+           "real_time_factor": min(row["real_time_factor"] for row in rows)}
     keeps = {key: value is not None and (value >= bound if key == "real_time_factor" else value <= bound)
              for key, bound in BUDGET.items() for value in (got[key],)}
     return {f"{key} {got[key]:.4g} of {bound:g}": "within the budget" if keeps[key] else "OUTSIDE THE BUDGET"
