@@ -88,7 +88,8 @@ class Client:
                                                  **self._connect) as self._socket:
                 if self._camera:
                     await self._socket.send(msgspec.msgpack.encode(CAMERA))
-                async for raw in self._socket:
+                while True:  # `async for` would leave its generator half way when an answer finds the line torn
+                    raw = await self._socket.recv()
                     self.bytes += len(raw)
                     await self.take_frame(raw)
         except (OSError, websockets.exceptions.WebSocketException):

@@ -94,7 +94,7 @@ def visitor(page: Page, token: str = TOKEN) -> VClient:
     client = VClient(page.server.get_port(), headers={"Authorization": f"Bearer {token}"})
     assert client.ready.wait(5.0)
     until(lambda: client.seat() and client.banner()["mode"] not in ("starting", "failed"), 60.0)
-    until(lambda: float(client.banner()["time"]) > 0.3)
+    until(lambda: float(client.banner()["time"]) > 0.3 and client.position(ELBOW) is not None)
     return client
 
 
