@@ -186,7 +186,7 @@ def export(folder: Annotated[Positional[Path], arg(metavar="FOLDER")], out: Anno
 def repair(path: Annotated[Positional[Path], arg(metavar="FOLDER|FILE.rrd")]) -> None:
     """Complete a session whose process was killed, and cut off what a recording has that was not written to the end.
 
-    `replay`, `review` and `report` do the same by themselves.
+    `replay`, `review`, `report` and `export` do the same by themselves.
 
     Args:
         path: What `run` was to write, a folder of a recording from the page, or a recording alone.
@@ -295,16 +295,17 @@ def soak(hours: float = 1.0, out: Path | None = None, json: Annotated[Path | Non
 
 
 @commands.command
-def tour(out: Path, film: FlagCreatePairsOff[bool] = False) -> None:
+def tour(out: Path, film: FlagCreatePairsOff[bool] = False, results: Path | None = None) -> None:
     """Take a picture of every main screen of the page in a headless Chromium, to look at after a change.
 
     Args:
         out: Folder to write; it must not exist.
         film: Also take an animation of the guided demo, which takes minutes.
+        results: Folder of a campaign, for a picture of what it has found.
     """
     from app.tour import tour as take
 
-    take(out, film=film)
+    take(out, film=film, results=results)
 
 
 @commands.command

@@ -2,10 +2,11 @@
 
 import io
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,8 +16,11 @@ from app.browser import executable, launched
 from app.output import folder
 from app.serve.access import Access
 from app.serve.main import Page
+from app.serve.recordings import START
+from app.serve.results import LABEL
+from hrc.cell.eyes import CameraSetup, rig
 from hrc.errors import HrcError
-from hrc.events import Event, MoveObstacle, MoveTarget, Pull, Release, Resume, SetTask
+from hrc.events import Event, MoveCamera, MoveObstacle, MoveTarget, Pull, Release, RemoveObstacle, Resume, SetTask
 from hrc.geometry import apply, inverse
 from hrc.messages import Snapshot
 
@@ -70,6 +74,7 @@ class Stage:
 
 def _start(stage: Stage) -> None:
     stage.until("b.mode === 'idle' && b.time > 4")
+    stage.settle(3.0)  # the lights come on slowly
 
 
 def _obstacle(stage: Stage) -> None:
@@ -79,7 +84,16 @@ def _obstacle(stage: Stage) -> None:
     stage.put(MoveObstacle("ball", (-0.35, 0.55, 0.35)))
 
 
+def _figure(stage: Stage) -> None:
+    stage.open_tab("Obstacles")
+    stage.put(MoveObstacle("figure", (-0.95, 0.45, 0.45)), MoveObstacle("forearm", (0.15, 0.45, 0.5)))
+    stage.tab.get_by_text("Figure", exact=True).scroll_into_view_if_needed()
+    stage.settle(1.5)
+
+
 def _relax(stage: Stage) -> None:
+    stage.put(RemoveObstacle("figure"), RemoveObstacle("forearm"))
+    stage.open_tab("Contact")
     stage.pull(0.15)
     stage.until("b.mode === 'relax' && b.force > 8")
 
@@ -104,6 +118,37 @@ def _follow(stage: Stage) -> None:
     x, y, z = stage.look().command.x.tolist()
     stage.put(MoveTarget((x, y + 0.15, z + 0.1)))
     stage.settle(0.8)
+
+
+def _posture(stage: Stage) -> None:
+    stage.open_tab("Posture")
+    stage.tab.get_by_text("Copy the arm's posture").scroll_into_view_if_needed()
+    stage.settle()
+
+
+def _view(stage: Stage) -> None:
+    stage.open_tab("View")
+    stage.tab.get_by_label("Move the depth sensor").check()
+    stage.tab.get_by_role("button", name="Side", exact=True).click()
+    stage.put(MoveCamera(_camera(stage).name, (0.5, 1.0, 1.1), (-0.3, 0.0, 0.4)))
+    stage.settle(2.0)
+
+
+def _record(stage: Stage) -> None:
+    setup = _camera(stage)
+    stage.put(MoveCamera(setup.name, setup.camera.eye, setup.camera.target))
+    stage.tab.get_by_label("Move the depth sensor").uncheck()
+    stage.tab.get_by_role("button", name="Sensor", exact=True).click()
+    stage.open_tab("Record")
+    stage.tab.get_by_role("button", name=START, exact=True).click()
+    stage.tab.wait_for_selector("#eb-recording[data-recording=true]", timeout=PATIENCE)
+    stage.settle(4.0)
+
+
+def _camera(stage: Stage) -> CameraSetup:
+    config = stage.page.session.config
+    assert config is not None, "the cell runs"
+    return rig(config)[0]
 
 
 def _parameters(stage: Stage) -> None:
@@ -141,29 +186,42 @@ def _demo(stage: Stage) -> None:
     stage.settle()
 
 
+def _results(stage: Stage) -> None:
+    stage.page.session.reset()
+    stage.open_tab("View")
+    stage.tab.get_by_label(LABEL).click()
+    stage.tab.get_by_role("option").nth(1).click()
+    stage.tab.wait_for_selector("#eb-results")
+    stage.tab.locator("#eb-results").scroll_into_view_if_needed()
+    stage.settle(3.0)
+
+
 def _help(stage: Stage) -> None:
     stage.tab.goto(stage.page.url + "app/help.html")
 
 
 SCREENS: dict[str, Callable[[Stage], None]] = {
-    "start": _start, "obstacle": _obstacle, "relax": _relax, "numbers": _numbers, "abort": _abort, "follow": _follow,
-    "parameters": _parameters, "stop": _stop, "light": _light, "commands": _palette, "demo": _demo, "help": _help}
-"""On the desktop, in this order; each goes on from the one before."""
-FURTHER_DOWN = ("parameters", "stop")
+    "start": _start, "obstacle": _obstacle, "figure": _figure, "relax": _relax, "numbers": _numbers, "abort": _abort,
+    "follow": _follow, "posture": _posture, "view": _view, "record": _record, "parameters": _parameters, "stop": _stop,
+    "light": _light, "commands": _palette, "demo": _demo, "results": _results, "help": _help}
+"""On the desktop, in this order; each goes on from the one before. "results" needs those of a campaign."""
+FURTHER_DOWN = ("figure", "posture", "view", "record", "results", "parameters", "stop")
 """Screens of what stands far down in the left dock; the others begin with the banner."""
 ALSO = (("phone", PHONE, ()), ("no_webgl", DESKTOP, ("--disable-3d-apis",)))
 """Others: name, size of the window, flags of the browser."""
 
 
-def tour(out: Path, *, film: bool = False) -> None:
+def tour(out: Path, *, film: bool = False, results: Path | None = None) -> None:
     """Write a picture of every screen as NAME.webp, and with `film` the guided demo as an animation.
+
+    results: folder of a campaign, to show on the robot; without it that screen is left out.
 
     Raises HrcError without Chromium, or if the folder is there.
     """
     if executable() is None:
         raise HrcError("the tour needs a Chromium, and there is none on this machine (Debian: apt install chromium)")
-    with folder(out) as partial, _served() as (page, look):
-        _desktop(page, look, partial)
+    with folder(out) as partial, _served(results) as (page, look):
+        _desktop(page, look, partial, [name for name in SCREENS if results is not None or name != "results"])
         page.session.reset()
         for name, size, flags in ALSO:
             with launched(*flags) as browser:
@@ -173,19 +231,21 @@ def tour(out: Path, *, film: bool = False) -> None:
 
 
 @contextmanager
-def _served() -> Iterator[tuple[Page, Callable[[], Snapshot]]]:
+def _served(results: Path | None) -> Iterator[tuple[Page, Callable[[], Snapshot]]]:
     seen: list[Snapshot] = []
 
     class Latest:
         def on_step(self, snapshot: Snapshot, /) -> None:
             seen[:] = [snapshot]
 
-    page = Page("free", Access(port=0), say=lambda _: None, observers=(Latest(),))
-    page.start()
-    try:
-        yield page, lambda: seen[0]
-    finally:
-        page.close()
+    with TemporaryDirectory() as recordings:
+        page = Page("free", Access(port=0), say=lambda _: None, observers=(Latest(),), recordings=Path(recordings),
+                    results=results)
+        page.start()
+        try:
+            yield page, lambda: seen[0]
+        finally:
+            page.close()
 
 
 def _opened(browser: Any, url: str, size: tuple[int, int], *, drawn: bool = True) -> "Tab":
@@ -208,11 +268,11 @@ def _take(tab: "Tab", file: Path) -> None:
     print(file.name, flush=True)
 
 
-def _desktop(page: Page, look: Callable[[], Snapshot], out: Path) -> None:
+def _desktop(page: Page, look: Callable[[], Snapshot], out: Path, names: Sequence[str]) -> None:
     with launched() as browser:
         stage = Stage(page, _opened(browser, page.url, DESKTOP), look)
-        for name, make in SCREENS.items():
-            make(stage)
+        for name in names:
+            SCREENS[name](stage)
             if name not in FURTHER_DOWN:
                 stage.tab.evaluate("() => document.querySelector('#eb-banner')?.scrollIntoView()")
             _take(stage.tab, out / f"{name}.webp")
