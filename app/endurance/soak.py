@@ -9,9 +9,10 @@ import multiprocessing
 import os
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, TextIO
@@ -19,10 +20,10 @@ from typing import IO, Any, TextIO
 from tqdm import tqdm
 
 from app.bench.report import check, write
-from app.browser import launched, opened
 from app.client import ELSEWHERE
 from app.endurance.crowd import riot
 from app.endurance.health import Health, Sample, Steps, faults, summary
+from app.endurance.onlookers import watch
 from app.record.recorder import Recorder
 from app.serve.access import Access
 from app.serve.main import Page
@@ -55,7 +56,7 @@ class Job:
 
 
 class Errors:
-    """Collects every error that nobody asked for: tracebacks, logged errors, and what the browsers' consoles say."""
+    """Collects every error of the page that nobody asked for: tracebacks, logged errors, and what it says itself."""
 
     def __init__(self) -> None:
         self.found: list[str] = []
@@ -73,19 +74,10 @@ class Errors:
             sys.stderr = stream
             logging.getLogger().removeHandler(handler)
 
-    def watch(self, tab: Any, name: str) -> None:
-        """Listen to a browser's console."""
-        tab.on("console", lambda message: self._console(name, message))
-        tab.on("pageerror", lambda error: self.found.append(f"{name}: {error}"))
-
     def say(self, line: str) -> None:
         """What the page says on the terminal."""
         if "failed" in line:
             self.found.append(f"page: {line}")
-
-    def _console(self, name: str, message: Any) -> None:
-        if message.type == "error":
-            self.found.append(f"{name}: {message.text}")
 
 
 class _Tee:
@@ -141,26 +133,31 @@ def _run(job: Job, folder: Path) -> dict[str, Any]:
         page.start()
         while steps.number == 0:
             time.sleep(0.1)
-        tabs = _browsers(stack, page.url, job.browsers, errors)
         context = multiprocessing.get_context("spawn")
-        pool = stack.enter_context(ProcessPoolExecutor(1, context, os.nice, (ELSEWHERE,)))
-        over = stack.enter_context(context.Manager()).Event()
-        crowd = pool.submit(riot, page.server.get_port(), job.seed, over, seconds + 60.0)
+        pool = stack.enter_context(ProcessPoolExecutor(2, context, os.nice, (ELSEWHERE,)))
+        manager = stack.enter_context(context.Manager())
+        ready, over = manager.Event(), manager.Event()
         stack.callback(over.set)
+        tabs = pool.submit(watch, page.url, job.browsers, ready, over, seconds + 120.0) if job.browsers else None
+        if tabs is not None:
+            _await(ready, tabs)
+        crowd = pool.submit(riot, page.server.get_port(), job.seed, over, seconds + 60.0)
         health = Health(steps, config.rates.base_hz)
         try:  # whatever ends it early is an error among the others, and what was seen until then is told
-            _sample(health, page, recorder, tabs, seconds)
+            _sample(health, page, recorder, seconds)
         except (Exception, KeyboardInterrupt) as error:
             errors.found.append(f"soak: {type(error).__name__}: {error}")
             health.take(visitors=len(page.server.get_clients()), images=recorder.images_dropped)
         over.set()
+        done, failed, said = {}, {}, []
         try:
             done, failed = crowd.result(timeout=120.0)
+            said = tabs.result(timeout=120.0) if tabs is not None else []
         except Exception as error:
             errors.found.append(f"visitors: {type(error).__name__}: {error}")
-            done, failed = {}, {}
+        errors.found += said
         page.session.close()
-        return {"conditions": {"seconds": seconds, "browsers": len(tabs), "seed": job.seed}, **summary(health.samples),
+        return {"conditions": {"seconds": seconds, "browsers": job.browsers, "seed": job.seed}, **summary(health.samples),
                 "done": done, "failed": failed, "refused": dict(page.guard.refused), "errors": _once(errors.found),
                 "recording": _finished(recorder)}
 
@@ -182,25 +179,19 @@ def _finished(recorder: Recorder) -> dict[str, Any]:
     return {"files": len(recorder.paths), "kept_bytes": recorder.bytes, "trouble": trouble}
 
 
-def _browsers(stack: contextlib.ExitStack, url: str, number: int, errors: Errors) -> list[Any]:
-    if number == 0:
-        return []
-    browser, tabs = stack.enter_context(launched(aside=True)), []
-    for i in range(number):
-        tabs.append(opened(browser, url, lambda tab, name=f"browser {i + 1}": errors.watch(tab, name)))
-    return tabs
+def _await(ready: threading.Event, tabs: "Future[list[str]]") -> None:
+    """Wait until the browsers see the arm. Raises what keeps them from it."""
+    while not ready.wait(0.2):
+        if tabs.done():
+            tabs.result()
 
 
-def _sample(health: Health, page: Page, recorder: Recorder, tabs: Sequence[Any], seconds: float) -> None:
-    """Samples until the time is over; the browsers' events are handled meanwhile."""
+def _sample(health: Health, page: Page, recorder: Recorder, seconds: float) -> None:
+    """Samples until the time is over."""
     period = min(10.0, max(1.0, seconds / 200.0))
     with tqdm(total=round(seconds), unit="s", disable=not sys.stderr.isatty()) as bar:
         while (passed := time.monotonic() - health.begin) < seconds:
-            wait = min(period, seconds - passed)
-            if tabs:
-                tabs[0].wait_for_timeout(1e3 * wait)
-            else:
-                time.sleep(wait)
+            time.sleep(min(period, seconds - passed))
             health.take(visitors=len(page.server.get_clients()), images=recorder.images_dropped)
             for path in recorder.paths[:-KEPT]:
                 path.unlink(missing_ok=True)

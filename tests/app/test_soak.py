@@ -68,7 +68,7 @@ def test_tracebacks_and_logged_errors_are_collected(capsys: pytest.CaptureFixtur
 @pytest.mark.live
 def test_a_few_seconds_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Nothing is said about its speed: others use the machine."""
-    told = soak(Job(hours=12.0 / 3600.0, out=tmp_path / "out", json=tmp_path / "soak.json", seed=1, rotate=0.05, browsers=0))
+    told = soak(Job(hours=12.0 / 3600.0, out=tmp_path / "out", json=tmp_path / "soak.json", seed=1, rotate=0.05, browsers=1))
     assert [line for line in told if line.startswith("error")] == []
     printed = capsys.readouterr().out
     assert "join" in printed
