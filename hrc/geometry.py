@@ -27,8 +27,15 @@ def transform(R: ArrayLike, p: ArrayLike) -> Array:
 
 def skew(p: ArrayLike) -> Array:
     """S(p), shape (3, 3), with S(p) w = p x w."""
-    x, y, z = np.asarray(p, float)
+    x, y, z = np.asarray(p, float).tolist()  # Python's own numbers: numpy's take three times as long to put together
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def skews(p: Array) -> Array:
+    """S of each of several vectors (n, 3), shape (n, 3, 3)."""
+    S = np.zeros((len(p), 3, 3))
+    S[:, 2, 1], S[:, 0, 2], S[:, 1, 0] = p.T
+    return S - S.transpose(0, 2, 1)
 
 
 def rotation_from_quaternion(wxyz: ArrayLike) -> Array:

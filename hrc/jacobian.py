@@ -5,9 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hrc.geometry import skew
+from hrc.geometry import skew, skews
 
 Array = NDArray[np.float64]
+_MOVED_BY = np.tri(7)
+"""Whether joint k + 1 moves link i + 1, (7, 7)."""
 
 
 def contact_jacobian(J_i: Array, x_c: Array, x_i: Array) -> Array:
@@ -46,6 +48,14 @@ class Terms:
         J = self.J_spatial.copy()
         J[:, link:] = 0.0
         J[:3] -= skew(self.T_world_link[link, :3, 3]) @ J[3:]
+        return J
+
+    def J_links(self) -> Array:
+        """J_i of the links 1 to 7 at once, shape (7, 6, 7)."""
+        J, away = np.empty((7, 6, 7)), self.T_world_link[1:, :3, 3]
+        J[:, 3:] = self.J_spatial[3:] * _MOVED_BY[:, None]
+        J[:, :3] = self.J_spatial[:3] * _MOVED_BY[:, None]
+        J[:, :3] -= skews(away) @ J[:, 3:]
         return J
 
     def J_contact(self, link: int, p_world: Array) -> Array:

@@ -79,6 +79,7 @@ def test_the_contact_jacobian_is_the_points_velocity(dynamics, link):
         behind = apply(dynamics.kinematics(q - h * dq)[0][link], p_link)
         np.testing.assert_allclose(terms.J_contact(link, p) @ dq, (ahead - behind) / (2 * h), atol=1e-6)
         assert np.all(terms.J_link(link)[:, link:] == 0.0)
+        np.testing.assert_allclose(terms.J_links()[link - 1], terms.J_link(link), atol=1e-12)
 
 
 def test_the_contact_jacobian_is_eq_10():

@@ -45,7 +45,7 @@ def estimate_force(J_c: Array, r: Array, config: ForceConfig) -> ForceEstimate:
     """
     # J_c = U S V^T, so (J_c^T)# = U S^-1 V^T.
     U, S, Vt = np.linalg.svd(J_c, full_matrices=False)
-    weak = np.clip(1.0 - (S / config.epsilon) ** 2, 0.0, 1.0) if config.epsilon > 0 else np.zeros(len(S))
+    weak = np.maximum(1.0 - (S / config.epsilon) ** 2, 0.0) if config.epsilon > 0 else np.zeros(len(S))
     gain = S / np.maximum(S * S + weak * config.damping**2, 1e-12)
     inverse = (U * gain) @ Vt
     return ForceEstimate(inverse @ r, float(S[-1]), U[:, -1], inverse)

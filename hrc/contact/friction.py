@@ -34,4 +34,4 @@ def friction(config: FrictionConfig, dq: Array) -> Array:
 
 def turned(dq: Array, alpha: Array | float, v: Array | float) -> Array:
     """How far friction has turned over, 0 to 1: 1 / (1 + exp(-alpha (dq + v)))."""
-    return 1.0 / (1.0 + np.exp(np.clip(-alpha * (dq + v), -STEEPEST, STEEPEST)))
+    return 1.0 / (1.0 + np.exp(np.minimum(np.maximum(-alpha * (dq + v), -STEEPEST), STEEPEST)))

@@ -36,6 +36,10 @@ CANDIDATES = 8
 """The samples are chosen from this many times as many places."""
 NEGLIGIBLE = 1e-4
 """Samples with less than this part of the largest weight do not take part in finding the point."""
+NOTHING = 1e-9
+"""Nor do samples of a smaller weight than this take part in finding the radius."""
+GRAM = ((0, 0), (1, 0), (2, 0), (1, 1), (2, 1), (2, 2))
+"""The entries of a symmetric matrix (3, 3)."""
 HEAVIEST = 64
 """The point is one of this many samples at most."""
 
@@ -122,13 +126,17 @@ class SurfaceSamples:
         self.spacing = max(c.gap for c in choices)
         first = np.searchsorted(self.link, range(1, 9))
         self.of_link = {i: slice(int(first[i - 1]), int(first[i])) for i in range(1, 8)}
+        self._homogeneous = np.vstack([self.p.T, np.ones(len(self.p))])
         self.axes = _axes(self.inward)
         self.wrenches = np.concatenate([self.axes, np.cross(self.p, self.axes)], axis=2).transpose(0, 2, 1).copy()
         """Unit forces at the samples, along two tangents and inward, with their moments, in link frames (3, 6, n)."""
 
     def in_world(self, T_world_link: Array) -> Array:
         """The places in the world [m] (n, 3)."""
-        return np.concatenate([apply(T_world_link[i], self.p[part]) for i, part in self.of_link.items()])
+        places = np.empty((3, len(self.p)))  # coordinate by coordinate: what is made of them runs along the samples
+        for i, part in self.of_link.items():
+            np.matmul(T_world_link[i, :3], self._homogeneous[:, part], out=places[:, part])
+        return places.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +189,8 @@ class ResidualLocalizer:
         c = self.config
         likely = np.full(len(places), c.unseen)
         for n in seen:
-            off = ((places - n.p_world) ** 2).sum(axis=1)
+            off = places.T - n.p_world[:, None]
+            off = (off * off).sum(axis=0)
             likely += np.exp(-0.5 * (off / c.sight**2 + (n.distance / c.sight_gap) ** 2))
         return likely
 
@@ -194,20 +203,23 @@ class ResidualLocalizer:
         c, s = self.config, self.samples
         r = r / sigma
         J = np.empty((3, 7, len(s.p)))  # J_c^T by column, in units of sigma per newton
-        for i, part in s.of_link.items():
-            J_i = terms.J_link(i).reshape(2, 3, 7).transpose(0, 2, 1) @ terms.T_world_link[i, :3, :3]
-            np.matmul((J_i.transpose(1, 0, 2).reshape(7, 6)) / sigma[:, None], s.wrenches[:, :, part], out=J[:, :, part])
+        R = terms.T_world_link[1:, None, :3, :3]
+        J_links = (terms.J_links().reshape(7, 2, 3, 7).transpose(0, 1, 3, 2) @ R).transpose(0, 2, 1, 3).reshape(7, 7, 6)
+        for J_i, part in zip(J_links / sigma[:, None], s.of_link.values(), strict=True):
+            np.matmul(J_i, s.wrenches[:, :, part], out=J[:, :, part])
         b = r @ J
-        normal = np.clip(b[2] / ((J[2] * J[2]).sum(axis=0) + 1e-9), c.f_range[0], c.f_range[1])  # best without friction
-        D = np.stack([c.friction * normal, c.friction * normal, normal])
-        J *= D[:, None]
+        g00, g10, g20, g11, g21, g22 = (np.einsum("jn,jn->n", J[k], J[m]) for k, m in GRAM)
+        normal = np.minimum(np.maximum(b[2] / (g22 + 1e-9), c.f_range[0]), c.f_range[1])  # best without friction
+        across = c.friction * normal
+        D = np.stack([across, across, normal])
         b *= D
         # Cholesky factor of I + A^T A, and y with L y = A^T r.
-        l00 = np.sqrt(1.0 + (J[0] * J[0]).sum(axis=0))
-        l10, l20 = (J[0] * J[1]).sum(axis=0) / l00, (J[0] * J[2]).sum(axis=0) / l00
-        l11 = np.sqrt(1.0 + (J[1] * J[1]).sum(axis=0) - l10 * l10)
-        l21 = ((J[1] * J[2]).sum(axis=0) - l20 * l10) / l11
-        l22 = np.sqrt(1.0 + (J[2] * J[2]).sum(axis=0) - l20 * l20 - l21 * l21)
+        aside2, both = across * across, across * normal
+        l00 = np.sqrt(1.0 + g00 * aside2)
+        l10, l20 = g10 * aside2 / l00, g20 * both / l00
+        l11 = np.sqrt(1.0 + g11 * aside2 - l10 * l10)
+        l21 = (g21 * both - l20 * l10) / l11
+        l22 = np.sqrt(1.0 + g22 * (normal * normal) - l20 * l20 - l21 * l21)
         y0 = b[0] / l00
         y1 = (b[1] - l10 * y0) / l11
         y2 = (b[2] - l20 * y0 - l21 * y1) / l22
@@ -223,15 +235,18 @@ class ResidualLocalizer:
         of_links = {i: float(w[part].sum()) for i, part in s.of_link.items()}
         link = max(of_links, key=of_links.__getitem__)
         first, on_link = s.of_link[link].start, w[s.of_link[link]]
-        heavy = first + np.argsort(-on_link, kind="stable")[:HEAVIEST]
-        heavy = heavy[w[heavy] > NEGLIGIBLE * w[heavy[0]]]
+        heavy = np.flatnonzero(on_link > NEGLIGIBLE * on_link.max())
+        heavy = first + heavy[np.argsort(-on_link[heavy], kind="stable")[:HEAVIEST]]
         # The weighted mean may lie inside the arm, between two sides of it; the sample with the least mean distance does not.
-        apart = np.linalg.norm(s.p[heavy, None] - s.p[heavy], axis=2)
+        apart = s.p[heavy, None] - s.p[heavy]
+        apart = np.sqrt((apart * apart).sum(axis=2))
         k = int(heavy[np.argmin(apart @ w[heavy])])
         p_world = places[k].copy()
-        distance = np.linalg.norm(places - p_world, axis=1)
+        likely = np.flatnonzero(w > NOTHING)
+        off = places[likely] - p_world
+        distance = np.sqrt((off * off).sum(axis=1))
         order = np.argsort(distance, kind="stable")
-        last = int(np.searchsorted(np.cumsum(w[order]), self.config.content))
+        last = int(np.searchsorted(np.cumsum(w[likely[order]]), self.config.content))
         F_world = T_world_link[link, :3, :3] @ (found.force[:, k] @ s.axes[:, k])
         misfit = math.sqrt(max(float(found.misfit2[k]), 0.0) / 7.0)
         radius = math.hypot(float(distance[order[last]]), s.spacing)  # what lies between the samples is not known

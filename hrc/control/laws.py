@@ -33,7 +33,7 @@ class Inverse(NamedTuple):
 def inverse(J: Array, epsilon: float = EPSILON, damping: float = DAMPING) -> Inverse:
     """J# and P of a Jacobian (m, 7), from one SVD."""
     U, S, Vt = np.linalg.svd(J, full_matrices=False)
-    weak = np.clip(1.0 - (S / epsilon) ** 2, 0.0, 1.0)
+    weak = np.maximum(1.0 - (S / epsilon) ** 2, 0.0)  # of a square: never above 1
     gain = S / np.maximum(S * S + weak * damping**2, 1e-12)
     V = Vt[S > RANK].T
     return Inverse((Vt.T * gain) @ U.T, np.eye(J.shape[1]) - V @ V.T)
@@ -90,7 +90,7 @@ def room(J_c: Array, P: Array, F: Array) -> float:
     along = J_c.T @ F
     w = P @ along
     part = float(w @ w) / max(float(along @ along), 1e-12)
-    return float(np.clip((part - ROOM[0]) / (ROOM[1] - ROOM[0]), 0.0, 1.0))
+    return min(max((part - ROOM[0]) / (ROOM[1] - ROOM[0]), 0.0), 1.0)
 
 
 def share_of_the_path(path: Array, rest: Array, J_c: Array, P: Array, F: Array) -> float:

@@ -46,10 +46,10 @@ def limited(task: Array, null: Array, bounds: tuple[Array, Array], issued: Array
     space. A position limit that has come nearer than the acceleration limit foresaw wins against it.
     """
     lower, upper = bounds
-    near = np.clip(issued - step, lower, upper), np.clip(issued + step, lower, upper)
+    near = _within(issued - step, lower, upper), _within(issued + step, lower, upper)
     kept = _largest_scale(task, null, *near)
     if kept is not None:
-        return Limited(np.clip(task + kept * null, *near), 1.0)
+        return Limited(_within(task + kept * null, *near), 1.0)
     kept, share = _largest_scale(task, null, lower, upper), 1.0
     if kept is None:
         share = _largest_scale(np.zeros_like(task), task, lower, upper) or 0.0
@@ -59,7 +59,12 @@ def limited(task: Array, null: Array, bounds: tuple[Array, Array], issued: Array
     # Too great a change: go part of the way, all joints alike, so that the motion keeps its direction.
     change = wanted - issued
     size = float(np.abs(change).max())
-    return Limited(np.clip(issued + change * min(1.0, step / max(size, 1e-12)), lower, upper), share)
+    return Limited(_within(issued + change * min(1.0, step / max(size, 1e-12)), lower, upper), share)
+
+
+def _within(dq: Array, lower: Array, upper: Array) -> Array:
+    """dq, moved into the bounds: np.clip in a third of its time."""
+    return np.minimum(np.maximum(dq, lower), upper)
 
 
 def _largest_scale(base: Array, direction: Array, lower: Array, upper: Array) -> float | None:

@@ -6,6 +6,7 @@
     any --stop()--> STOP --resume()--> IDLE
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -290,7 +291,7 @@ class Reaction:
         c = self.config
         if not c.separation:
             return 1.0
-        return float(np.clip((surroundings.clearance - c.stand_at) / (c.slow_from - c.stand_at), 0.0, 1.0))
+        return min(max((surroundings.clearance - c.stand_at) / (c.slow_from - c.stand_at), 0.0), 1.0)
 
     def _follow(self, q: Array, terms: Terms, contact: Contact | None, allowed: float) -> tuple[_Velocity, float]:
         """IDLE and RELAX: the task, with posture and yielding in its null space; and the path speed used, 0..1."""
@@ -299,7 +300,7 @@ class Reaction:
         e = self.path.x_d - terms.x
         target, step = 0.0 if self.mode is Mode.BLIND else allowed, self._dt / c.resume_time
         self._ramp = min(max(target, self._ramp - step), self._ramp + step)
-        near = float(np.clip(1.5 - np.sqrt(e @ e) / 0.02, 0.0, 1.0))
+        near = min(max(1.5 - math.sqrt(e @ e) / 0.02, 0.0), 1.0)
         path_speed = self._ramp * self._free * near * max(0.05, self._kept)
         v_reconnect = c.v_reconnect if self._wary == 0.0 else min(c.v_wary, c.v_reconnect)
         v = laws.task_velocity(self.path.advance(path_speed, self._dt), e, c.k_p, v_reconnect)

@@ -22,6 +22,10 @@ class FaultConfig(Parameters):
     """Its position sensor repeats one reading for ever, and says that the joint stands."""
 
 
+NONE = FaultConfig()
+"""Every sensor is well."""
+
+
 class JointFaults:
     """Spoils readings. config: may change at any time."""
 
@@ -32,7 +36,7 @@ class JointFaults:
     def spoil(self, q: Array, dq: Array, tau: Array) -> tuple[Array, Array, Array]:
         """What is delivered instead of these readings, each (7,)."""
         c = self.config
-        if c == FaultConfig():
+        if c is NONE or c == NONE:
             self._held.clear()
             return q, dq, tau
         q, dq, tau = q.copy(), dq.copy(), tau.copy()

@@ -17,7 +17,7 @@ ALPHA = np.array([195.792631, 52.849323, 16.397959, 390.429474, 34.761397, 25.70
 
 def friction(dq: Array) -> Array:
     """Friction and offset in the sensor's signal at joint velocity dq [rad/s] (7,); [N m] (7,)."""
-    return K + A / (1.0 + np.exp(np.clip(-ALPHA * (dq + V), -50.0, 50.0)))
+    return K + A / (1.0 + np.exp(np.minimum(np.maximum(-ALPHA * (dq + V), -50.0), 50.0)))
 
 
 class TorqueSensor:
