@@ -16,6 +16,8 @@ FLAGS = [
     "--disable-background-networking", "--disable-component-update", "--disable-renderer-backgrounding",
     "--disable-backgrounding-occluded-windows"]
 VIEWPORT: Any = {"width": 1000, "height": 620}
+PATIENCE_MS = 180_000
+"""How long a page may take to be there: a browser that gives way to the server on two slow cores takes over a minute."""
 COARSE = "fixedDpr=0.25"
 """Asks the page for few pixels, because a CPU draws them."""
 ASIDE = """#!/bin/sh
@@ -72,8 +74,8 @@ def opened(browser: "Browser", url: str, watch: "Callable[[Page], None]" = lambd
     watch(tab)
     tab.add_init_script(f"({LATE})()")
     tab.goto(f"{url}{'&' if '?' in url else '?'}{COARSE}", wait_until="commit")
-    tab.wait_for_selector("#eb-banner", timeout=60_000)
-    tab.wait_for_function("() => window.__viserMutable?.nodeRefFromName?.['/robot/link_7']", timeout=60_000)
+    tab.wait_for_selector("#eb-banner", timeout=PATIENCE_MS)
+    tab.wait_for_function("() => window.__viserMutable?.nodeRefFromName?.['/robot/link_7']", timeout=PATIENCE_MS)
     return tab
 
 
