@@ -61,8 +61,10 @@ class RobotState:
     tau: Array
 
     def __post_init__(self) -> None:
-        for name in ("q", "dq", "tau"):
-            object.__setattr__(self, name, frozen(getattr(self, name), (7,), name))
+        keep = object.__setattr__
+        keep(self, "q", frozen(self.q, (7,), "q"))
+        keep(self, "dq", frozen(self.dq, (7,), "dq"))
+        keep(self, "tau", frozen(self.tau, (7,), "tau"))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

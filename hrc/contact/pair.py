@@ -123,7 +123,10 @@ class PairFinder:
         return self._explained(r, self._places, terms, force, known)
 
     def _choices(self, touches: Sequence[Nearest], friction: float) -> Iterator[tuple[Place, Place]]:
-        places = sorted((self._place(n, friction) for n in touches if n.link > 0), key=lambda place: place.link)
+        touches = [n for n in touches if n.link > 0]
+        if len({n.link for n in touches}) < 2:  # as a rule: one touch, or none
+            return
+        places = sorted((self._place(n, friction) for n in touches), key=lambda place: place.link)
         for pair in itertools.combinations(places, 2):
             links = _links(pair)
             kept = not self._sure or self._places is None or links == _links(self._places)

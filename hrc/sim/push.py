@@ -42,6 +42,7 @@ class Grip:
         self._event: Pull | Push | None = None
         self._normal = np.array([0.0, 0.0, 1.0])
         self.force = np.zeros(3)
+        self._J = np.zeros((3, model.nv))
 
     @property
     def active(self) -> bool:
@@ -83,7 +84,7 @@ class Grip:
             self.force = np.zeros(3)
             return np.zeros(7)
         body, p = int(self._links[event.link]), self.p_world
-        J = np.zeros((3, self._model.nv))
+        J = self._J
         mujoco.mj_jac(self._model, self._data, J, None, p, body)
         if isinstance(event, Push):
             self.force = np.asarray(event.force)
