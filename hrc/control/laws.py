@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+EYE = np.eye(7)
 EPSILON, DAMPING = 0.05, 0.05
 """Singular values of a task Jacobian below EPSILON [m] are damped, by DAMPING [m] at zero."""
 EPSILON_C = 0.1
@@ -35,8 +36,8 @@ def inverse(J: Array, epsilon: float = EPSILON, damping: float = DAMPING) -> Inv
     U, S, Vt = np.linalg.svd(J, full_matrices=False)
     weak = np.maximum(1.0 - (S / epsilon) ** 2, 0.0)  # of a square: never above 1
     gain = S / np.maximum(S * S + weak * damping**2, 1e-12)
-    V = Vt[S > RANK].T
-    return Inverse((Vt.T * gain) @ U.T, np.eye(J.shape[1]) - V @ V.T)
+    V = Vt.T if S[-1] > RANK else Vt[S > RANK].T
+    return Inverse((Vt.T * gain) @ U.T, EYE - V @ V.T)
 
 
 def saturated(v: Array, limit: float) -> Array:

@@ -1,5 +1,6 @@
 """Obstacles that yield: sliding bodies whose drive is limited in force and torque, and the ways they are moved and turned."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -17,6 +18,7 @@ from hrc.sim.world import geoms, parked
 
 Array = NDArray[np.float64]
 ZETA = 0.7
+STILL = np.zeros(3)
 ROOM = 0.01
 """An obstacle may appear no nearer to the robot than this [m]: a body put into overlap is thrown out with kilonewtons."""
 
@@ -63,13 +65,14 @@ class Drag:
 
     def drive(self, position: Array, c: ObstacleConfig, dt: float) -> Drive:
         """The drive for this tick."""
-        step = self.target - self._setpoint
-        distance = float(np.linalg.norm(step))
-        velocity = step / distance * min(c.speed, distance / dt) if distance > 1e-9 else np.zeros(3)
-        self._setpoint = self._setpoint + velocity * dt
+        step, velocity = self.target - self._setpoint, STILL
+        distance = math.sqrt(step @ step)
+        if distance > 1e-9:
+            velocity = step / distance * min(c.speed, distance / dt)
+            self._setpoint = self._setpoint + velocity * dt
         lead = self._setpoint - position
         leash = c.cap / c.stiffness
-        length = float(np.linalg.norm(lead))
+        length = math.sqrt(lead @ lead)
         if length > leash:
             self._setpoint = position + lead * (leash / length)
         return Drive(self._setpoint, velocity, c.stiffness, c.cap)
@@ -204,10 +207,10 @@ class Obstacles:
             if drive is None:
                 self._park(obstacle)
                 continue
-            damping = 2.0 * ZETA * np.sqrt(drive.stiffness * obstacle.spec.mass)
-            velocity = self._data.qvel[self._dofs(obstacle)]
+            damping, dofs = 2.0 * ZETA * math.sqrt(drive.stiffness * obstacle.spec.mass), self._dofs(obstacle)
+            velocity = self._data.qvel[dofs]
             pull = drive.stiffness * (drive.position - position) + damping * (drive.velocity - velocity)
-            self._data.qfrc_applied[self._dofs(obstacle)] = pull * min(1.0, drive.cap / max(float(np.linalg.norm(pull)), 1e-9))
+            self._data.qfrc_applied[dofs] = pull * min(1.0, drive.cap / max(math.sqrt(pull @ pull), 1e-9))
 
     def bodies(self) -> tuple[Body, ...]:
         """Where they are now."""
