@@ -4,7 +4,8 @@ import json
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from itertools import islice
@@ -24,6 +25,8 @@ from hrc.errors import HrcError
 TABLE, SUMMARY = "records.parquet", "summary.parquet"
 STAMP = ".written"
 """Of what tables and report were made."""
+REPORTS = 60.0
+"""Between two lines about how far it is, where there is no terminal [s]."""
 BLOCK, TURNS, WARM = 12, 2, 2
 """Scaling: episodes for each worker in a turn; turns; episodes for each worker before, which do not count."""
 
@@ -106,13 +109,17 @@ def _play(job: Job, campaign: Campaign, store: Store, missing: int, interrupt: I
     episodes = campaign.chosen(lambda index: index not in store.records)
     with engine(job.cluster) as workers, tqdm(total=campaign.total, initial=campaign.total - missing, unit="episode",
                                              desc=campaign.name, disable=job.quiet or not sys.stderr.isatty()) as bar:
-        def keep(records: Iterator[Record]) -> Rate:
+        told = _Progress(campaign.total, silent=job.quiet or sys.stderr.isatty())
+
+        def keep(records: Generator[Record, None, None]) -> Rate:
             rate, began = Rate(), time.perf_counter()
-            for record in records:
-                store.add(record)
-                bar.update()
-                rate.episodes += 1
-                rate.seconds = time.perf_counter() - began
+            with closing(records):  # at once, while there is a client: what is still being played is dropped
+                for record in records:
+                    store.add(record)
+                    bar.update()
+                    rate.episodes += 1
+                    rate.seconds = time.perf_counter() - began
+                    told.note(len(store.records))
             return rate
 
         count = len(workers.workers)
@@ -123,7 +130,20 @@ def _play(job: Job, campaign: Campaign, store: Store, missing: int, interrupt: I
         print(f"{rate} on {count} worker{'s' * (count > 1)}")
 
 
-def _scaling(workers: Engine, episodes: Iterator[Episode], keep: Callable[[Iterator[Record]], Rate],
+class _Progress:
+    """A line now and then where no bar can be drawn: in a log."""
+
+    def __init__(self, total: int, *, silent: bool) -> None:
+        self._total, self._silent, self._due = total, silent, time.monotonic() + REPORTS
+
+    def note(self, done: int) -> None:
+        """So many records are there."""
+        if not self._silent and time.monotonic() >= self._due:
+            self._due = time.monotonic() + REPORTS
+            print(f"{done} of {self._total} episodes", flush=True)
+
+
+def _scaling(workers: Engine, episodes: Iterator[Episode], keep: Callable[[Generator[Record, None, None]], Rate],
              interrupt: Interrupt) -> str:
     """Rates of one worker and of all, in turns, so that a machine that slows down slows both; in words."""
     names = workers.workers
@@ -145,10 +165,12 @@ def _write(job: Job, campaign: Campaign, folder: Path, records: Sequence[Record]
     """
     indices = worst.ranked(campaign, records, job.record)
     kept = all((folder / worst.FOLDER / worst.name(index)).is_dir() for index in indices)
-    stamp, now = folder / STAMP, json.dumps([len(records), campaign.title, campaign.description, campaign.metrics])
+    stamp, now = folder / STAMP, [len(records), campaign.title, campaign.description, [*campaign.metrics], [*indices]]
     there = all((folder / name).is_file() for name in (STAMP, TABLE, SUMMARY, report.REPORT))
-    if not fresh and kept and there and stamp.read_text(encoding="utf-8") == now:
-        return ""
+    if not fresh and kept and there:
+        *before, named = json.loads(stamp.read_text(encoding="utf-8"))
+        if before == now[:-1] and (not job.record or named == now[-1]):
+            return ""
     stamp.unlink(missing_ok=True)
     units = {name: metric.unit for name, metric in METRICS.items()}
     summary.write(folder / TABLE, records, units)
@@ -163,7 +185,7 @@ def _write(job: Job, campaign: Campaign, folder: Path, records: Sequence[Record]
     report.write(campaign, records, folder, [path for path in sessions if path.is_dir()])
     if problem:
         return problem
-    stamp.write_text(now, encoding="utf-8")
+    stamp.write_text(json.dumps(now), encoding="utf-8")
     return ""
 
 

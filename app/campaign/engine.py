@@ -11,7 +11,7 @@ import queue
 import signal
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
@@ -105,13 +105,16 @@ def cores() -> int:
 class Engine:
     """Plays episodes on the workers of a Dask client."""
 
-    def __init__(self, client: Any) -> None:
-        self._client = client
-        try:
-            found = client.run(versions)
-        except ImportError as error:
-            raise CampaignError(f"the workers do not have elbowroom with this command: {error}") from None
-        for worker, theirs in found.items():
+    def __init__(self, client: Any, say: Callable[[str], None] = print) -> None:
+        """say: told when the last worker has gone, and when one has come."""
+        self._client, self._say = client, say
+        for worker, theirs in client.run(versions, on_error="return").items():
+            if isinstance(theirs, ImportError):
+                raise CampaignError(f"the worker {worker} does not have elbowroom with this command: {theirs}")
+            if isinstance(theirs, (OSError, TimeoutError)):
+                continue  # it has gone in the meantime, and is asked again should it play
+            if isinstance(theirs, BaseException):
+                raise theirs
             if differs := differences(versions(), theirs):
                 raise CampaignError(f"the worker {worker} has {differs}; all must have the same")
 
@@ -127,7 +130,7 @@ class Engine:
         return found
 
     def play(self, episodes: Iterable[Episode], stopped: Callable[[], bool] = lambda: False,
-             only: Sequence[str] = ()) -> Iterator[Record]:
+             only: Sequence[str] = ()) -> Generator[Record, None, None]:
         """The records as they come. A worker that dies costs its episode a new start, and no other one anything.
 
         stopped: asked all the time; then no more begin, and those that are not done are dropped. only: play on these workers.
@@ -141,13 +144,17 @@ class Engine:
             left[future.key] = future, episode
             future.add_done_callback(waiting.put)
 
-        wanted, counted = 0, -math.inf
+        wanted, counted, deserted = 0, -math.inf, False
 
         def refill() -> None:
             # enough that no worker waits for us, and no more: a campaign may be long
-            nonlocal wanted, counted
+            nonlocal wanted, counted, deserted
             if time.monotonic() - counted > COUNT:
-                wanted, counted = 2 * len(only or self.workers) + 1, time.monotonic()
+                there = len(only or self.workers)
+                if (there == 0) is not deserted:
+                    deserted = not deserted
+                    self._say("no worker is left; waiting for one to join" if deserted else "a worker has joined")
+                wanted, counted = 2 * there + 1, time.monotonic()
             while len(left) < wanted and (episode := next(source, None)) is not None:
                 submit(episode)
 

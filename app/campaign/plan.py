@@ -113,7 +113,9 @@ class Campaign:
 
     def _files(self) -> dict[str, str]:
         """Digests of one's own files that the cell reads; those of the project belong to its version."""
-        paths = [Path(name) for name in (self.base.scene, self.base.task.waypoints) if name]
+        drawn = self.random["task.waypoints"].of if "task.waypoints" in self.random else ()
+        names = (self.base.scene, self.base.task.waypoints, *self.sweep.get("task.waypoints", ()), *drawn)
+        paths = [Path(name) for name in names if name]
         return {str(path): hashlib.sha256(path.read_bytes()).hexdigest()[:12] for path in paths if path.is_file()}
 
 
@@ -146,7 +148,9 @@ def _campaign(name: str, table: Mapping[str, Any], episodes: int | None) -> Camp
     base, script = _base(table, settings)
     for key in (*sweep, *random):
         field_of(base, key)
-    metrics, worst = table.get("metrics", list(METRICS)), table.get("worst", "force_error_N")
+    metrics, worst = table.get("metrics", list(METRICS)), _text(table, "worst", "force_error_N")
+    if not isinstance(metrics, list) or not metrics:
+        raise CampaignError(f"metrics must be a list of names, with at least one, not {metrics!r}")
     for metric in (*metrics, worst):
         if metric not in METRICS:
             raise CampaignError(unknown("metric", metric, METRICS))
@@ -161,12 +165,12 @@ def _campaign(name: str, table: Mapping[str, Any], episodes: int | None) -> Camp
 
 
 def _base(table: Mapping[str, Any], settings: Mapping[str, Any]) -> tuple[Trial, scenario.Scenario | None]:
-    preset = table.get("preset", "default")
+    preset = _text(table, "preset", "default")
     if preset not in PRESETS:
         raise CampaignError(unknown("preset", preset, PRESETS))
     base, script = Trial.of(PRESETS[preset]()), None
     if "scenario" in table:
-        script = scenario.load(table["scenario"])
+        script = scenario.load(_text(table, "scenario", ""))
         base = Trial.of(script.configured(base.config))
     return _changed(base, settings), script
 
@@ -176,6 +180,8 @@ def _check(campaign: Campaign) -> None:
     if campaign.total > MOST:
         raise CampaignError(f"{campaign.total} episodes; at most {MOST} can be")
     swept = [*campaign.sweep, *campaign.random]
+    if both := [key for key in campaign.sweep if key in campaign.random]:
+        raise CampaignError(f"{both[0]} is both swept and drawn: each episode can have one value only")
     if campaign.script is not None and (own := [key for key in swept if key.startswith("situation.")]):
         raise CampaignError(f"{own[0]} has no effect where a scenario says what happens")
     for key in ("seed", "scene"):
@@ -238,6 +244,12 @@ def _draw(key: str, value: Any) -> Draw:
             isinstance(v, (int, float)) and not isinstance(v, bool) for v in value.values()) and value["low"] <= value["high"]:
         return Draw(value["low"], value["high"])
     raise CampaignError(f"{key} is drawn from {{low = a, high = b}} or {{of = [a, b, c]}}, not from {value!r}")
+
+
+def _text(table: Mapping[str, Any], name: str, default: str) -> str:
+    if not isinstance(value := table.get(name, default), str):
+        raise CampaignError(f"{name} must be a name, not {value!r}")
+    return value
 
 
 def _whole(name: str, value: Any, low: int, high: int) -> int:

@@ -14,7 +14,7 @@ from app.campaign.plan import Campaign, CampaignError
 from app.campaign.versions import differences, versions
 from app.output import OutputError
 
-MARK, RECORDS = "campaign.json", "records.jsonl"
+MARK, RECORDS, PARTIAL = "campaign.json", "records.jsonl", ".campaign.json"
 Record = dict[str, Any]
 
 
@@ -87,18 +87,20 @@ def _claimed(folder: Path) -> Iterator[FileIO]:
 
 
 def _begin(folder: Path, file: FileIO, mark: dict[str, Any]) -> None:
-    """Remove everything but the file of the records, which is emptied, and say what they will be of."""
+    """Empty the file of the records, remove all else, and say what they will be of. Wherever it ends, it can begin again: the
+    mark of the campaign before stays until there is another."""
+    partial = folder / PARTIAL
     try:
         for path in folder.iterdir():
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path)
-            elif path.name != RECORDS:
+            elif path.name not in (RECORDS, MARK):
                 path.unlink()
         file.truncate(0)
-        partial = folder / f".{MARK}"
         partial.write_text(json.dumps(mark, indent=1) + "\n", encoding="utf-8")
         os.replace(partial, folder / MARK)
     except OSError as error:
+        partial.unlink(missing_ok=True)
         raise OutputError(f"cannot write the folder {folder}: {error.strerror}") from None
 
 
@@ -106,8 +108,9 @@ def _check(folder: Path) -> None:
     """Raises OutputError for what may not be written to."""
     if not folder.name or folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise OutputError(f"{folder} cannot be the folder of a campaign; name one that does not exist")
-    if not folder.exists() or all(path.name == RECORDS and not path.stat().st_size for path in folder.iterdir()):
-        return  # an empty file of records is all that one leaves who was killed at the start
+    there = {path.name: path for path in folder.iterdir()} if folder.exists() else {}
+    if there.keys() <= {RECORDS, PARTIAL} and not (RECORDS in there and there[RECORDS].stat().st_size):
+        return  # no more than that leaves one who was killed at the start
     if not (folder / MARK).is_file():
         raise OutputError(f"{folder} is not the folder of a campaign (no {MARK} in it), so nothing is written to it")
 

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +29,13 @@ def rows(campaign: Campaign, records: Sequence[Record]) -> list[Row]:
         chosen = [r for r in records if r["index"] % len(points) == p]
         failed = sum(r["error"] is not None for r in chosen)
         for metric in campaign.metrics:
-            here = _by_episode(chosen, metric)
+            here, share = _by_episode(chosen, metric), METRICS[metric].unit == "bool"
             row = {**point, "metric": metric, "unit": METRICS[metric].unit, "episodes": len(chosen), "failed": failed,
-                   **described(list(here.values()), share=METRICS[metric].unit == "bool")}
+                   **described(list(here.values()), wilson if share else student),
+                   "p95": float(np.percentile(list(here.values()), 95)) if here and not share else None}
             there = _by_episode(first, metric)
-            pairs = described([float(here[k]) - float(there[k]) for k in sorted(here.keys() & there.keys())] if p else [])
+            pairs = described([float(here[k]) - float(there[k]) for k in sorted(here.keys() & there.keys())] if p else [],
+                              agresti_min if share else student)
             out.append({**row, **{f"difference_{key}": pairs[key] for key in ("n", "mean", "low", "high")}})
     return out
 
@@ -42,30 +44,45 @@ def _by_episode(records: Sequence[Record], metric: str) -> dict[int, float]:
     return {r["episode"]: r[metric] for r in records if r.get(metric) is not None}
 
 
-def described(values: Sequence[float], *, share: bool = False) -> Row:
-    """n, mean, its 95 % interval (Wilson's for a share, else Student's), and the 95th percentile; None where there is none."""
-    n = len(values)
-    if not n:
-        return {"n": 0, "mean": None, "low": None, "high": None, "p95": None}
-    mean = float(np.mean(values))
-    low, high = _wilson(mean, n) if share else _student(values, mean)
-    return {"n": n, "mean": mean, "low": low, "high": high, "p95": None if share else float(np.percentile(values, 95))}
+Interval = tuple[float | None, float | None]
 
 
-def _wilson(p: float, n: int) -> tuple[float, float]:
-    """The interval of a share p of n: it holds where all or none are."""
-    centre, half = p + _Z**2 / (2 * n), _Z * math.sqrt(p * (1 - p) / n + _Z**2 / (4 * n * n))
-    return max(0.0, (centre - half) / (1 + _Z**2 / n)), min(1.0, (centre + half) / (1 + _Z**2 / n))
-
-
-def _student(values: Sequence[float], mean: float) -> tuple[float | None, float | None]:
+def student(values: Sequence[float]) -> Interval:
+    """Student's interval of a mean."""
     from scipy.special import stdtrit
 
     n = len(values)
     if n < 2:
         return None, None
-    half = float(stdtrit(n - 1, 0.975) * np.std(values, ddof=1) / math.sqrt(n))
+    mean, half = float(np.mean(values)), float(stdtrit(n - 1, 0.975) * np.std(values, ddof=1) / math.sqrt(n))
     return mean - half, mean + half
+
+
+def wilson(values: Sequence[float]) -> Interval:
+    """Wilson's interval of a share, of values 0 and 1: it holds where all or none are."""
+    n, p = len(values), float(np.mean(values))
+    centre, half = p + _Z**2 / (2 * n), _Z * math.sqrt(p * (1 - p) / n + _Z**2 / (4 * n * n))
+    return max(0.0, (centre - half) / (1 + _Z**2 / n)), min(1.0, (centre + half) / (1 + _Z**2 / n))
+
+
+def agresti_min(values: Sequence[float]) -> Interval:
+    """The interval of a difference of two shares over pairs, of values -1, 0 and 1: it has a width where all pairs agree.
+
+    Agresti & Min, "Simple improved confidence intervals for comparing matched proportions" (Statistics in Medicine 24, 2005):
+    half a pair more of each of the four kinds.
+    """
+    n, up, down = len(values) + 2, sum(v > 0 for v in values) + 0.5, sum(v < 0 for v in values) + 0.5
+    d = (up - down) / n
+    half = _Z * math.sqrt(up + down - (up - down) ** 2 / n) / n
+    return max(-1.0, d - half), min(1.0, d + half)
+
+
+def described(values: Sequence[float], interval: Callable[[Sequence[float]], Interval] = student) -> Row:
+    """n, mean and its 95 % interval; None where there is none."""
+    if not values:
+        return {"n": 0, "mean": None, "low": None, "high": None}
+    low, high = interval(values)
+    return {"n": len(values), "mean": float(np.mean(values)), "low": low, "high": high}
 
 
 def printed(campaign: Campaign, table: Sequence[Row]) -> Iterator[str]:

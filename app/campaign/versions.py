@@ -8,7 +8,7 @@ from pathlib import Path
 import hrc
 from hrc.paths import assets
 
-PACKAGES = ("elbowroom", "numpy", "mujoco", "pin", "warp-lang", "trimesh")
+PACKAGES = ("elbowroom", "numpy", "scipy", "mujoco", "pin", "warp-lang", "trimesh")
 OWN = ("plan.py", "trial.py", "places.py", "contacts.py", "judge.py", "episode.py")
 """The modules beside this one that make a record."""
 

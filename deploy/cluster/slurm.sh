@@ -23,5 +23,17 @@ address=tls://$(hostname -f):8786
 trap 'kill $(jobs -p) 2>/dev/null || true' EXIT
 srun --ntasks=$((SLURM_NTASKS - 1)) "$bin/dask" worker "$address" --nthreads 1 --no-dashboard \
   --local-directory "${TMPDIR:-/tmp}" "${files[@]}" &
+workers=$!
 "$bin/elbowroom" campaign "$campaign" --out "$out" --address "$address" \
-  --tls-ca "$tls/cert.pem" --tls-cert "$tls/cert.pem" --tls-key "$tls/key.pem" "$@"
+  --tls-ca "$tls/cert.pem" --tls-cert "$tls/cert.pem" --tls-key "$tls/key.pem" "$@" &
+command=$!
+# Without workers the campaign would wait until the job's time is over. When they end first, it stops, and keeps what it has.
+ended=0
+wait -n "$workers" "$command" || ended=$?
+if kill -0 "$command" 2>/dev/null; then
+  echo "the workers have ended (exit code $ended); the campaign stops" >&2
+  kill -TERM "$command"
+  wait "$command" || true
+  exit 1
+fi
+wait "$command"

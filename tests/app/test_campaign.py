@@ -1,7 +1,10 @@
 """Campaigns: what is played, what came of it, and that neither interruptions nor who plays it make a difference."""
 
+import errno
 import json
+import os
 import resource
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -96,6 +99,12 @@ def test_seeds_are_paired_across_the_sweep_and_indices_stay_when_there_are_more(
     (("episodes = 2", 'scenario = "pusch"'), "push"),
     (("settle = 0.2", "setle = 0.2"), "situation.settle"),
     (('title = "Short"', "title = "), "malformed"),
+    (('metrics = ["missed", "force_error_N"]', "metrics = []"), "list of names, with at least one"),
+    (('metrics = ["missed", "force_error_N"]', "metrics = 3"), "list of names, with at least one"),
+    (("episodes = 2", 'worst = ["missed"]'), "worst must be a name"),
+    (("episodes = 2", 'preset = ["default"]'), "preset must be a name"),
+    (("episodes = 2", "scenario = 1"), "scenario must be a name"),
+    (("plant.payload = ", "plant.friction_left = "), "both swept and drawn"),
 ])
 def test_a_file_that_cannot_be_run_is_refused_with_what_would_be_right(short: Path, change, told: str) -> None:
     assert change[0] in SHORT
@@ -294,8 +303,30 @@ def test_to_begin_anew_leaves_a_campaign_that_runs_alone_and_nothing_of_one_that
         assert not anew.records
     assert sorted(path.name for path in out.iterdir()) == [store.MARK, store.RECORDS]
     (out / store.MARK).unlink()  # all that a process leaves that is killed at the start
+    (out / store.PARTIAL).write_text("")
     with store.opened(out, campaign) as again:
         again.add(row(0))
+    assert sorted(path.name for path in out.iterdir()) == [store.MARK, store.RECORDS]
+
+
+def test_to_begin_anew_can_be_tried_again_wherever_it_broke_off(
+        short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    campaign, out = load(short), tmp_path / "out"
+    with store.opened(out, campaign) as opened:
+        opened.add(row(0))
+    (out / "worst").mkdir()
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    for broken, at in ((shutil, "rmtree"), (os, "replace")):
+        with monkeypatch.context() as patch:
+            patch.setattr(broken, at, full)
+            with pytest.raises(OutputError, match="No space left"), store.opened(out, campaign, overwrite=True):
+                pass
+        assert not (out / store.PARTIAL).exists()
+    with store.opened(out, campaign, overwrite=True) as anew:
+        assert not anew.records
 
 
 def test_another_order_of_what_is_swept_is_another_campaign(short: Path, tmp_path: Path) -> None:
@@ -374,11 +405,26 @@ def test_an_interval_holds_the_truth_as_often_as_it_says() -> None:
             ((d["low"], d["high"]) for d in (summary.described(list(rng.normal(size=12))) for _ in range(2000)))]
     assert np.mean(held) == pytest.approx(0.95, abs=0.015)
     held = [d["low"] <= 0.1 <= d["high"] for d in
-            (summary.described(list(rng.random(40) < 0.1), share=True) for _ in range(2000))]
+            (summary.described(list(rng.random(40) < 0.1), summary.wilson) for _ in range(2000))]
     assert np.mean(held) > 0.93
-    none = summary.described([False] * 20, share=True)
+    none = summary.described([False] * 20, summary.wilson)
     assert none["low"] == 0.0
     assert none["high"] > 0.1
+
+
+def test_a_difference_of_shares_is_not_sure_where_all_pairs_agree(short: Path) -> None:
+    campaign = load(short, 30)
+    records = [row(i, missed=i % 6 < 2, force_error_N=1.0) for i in range(60)]
+    missed = next(r for r in summary.rows(campaign, records) if r["metric"] == "missed" and r["difference_n"])
+    assert (missed["difference_n"], missed["difference_mean"]) == (30, 0.0)
+    assert -0.2 < missed["difference_low"] < 0.0 < missed["difference_high"] < 0.2
+
+
+def test_an_interval_of_a_difference_of_shares_holds_the_truth_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(5)
+    pairs = rng.choice([-1, 0, 1], p=[0.05, 0.8, 0.15], size=(2000, 60))
+    found = [summary.described(list(values), summary.agresti_min) for values in pairs]
+    assert 0.93 < np.mean([d["low"] <= 0.1 <= d["high"] for d in found]) < 0.98
 
 
 def test_the_worst_are_those_with_the_largest_error(short: Path) -> None:
