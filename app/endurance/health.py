@@ -1,9 +1,9 @@
 """What becomes of this process over time: samples of it, and whether it is still as it was."""
 
 import os
-import threading
 import time
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,8 @@ GROWTH, FACTOR = 0.03, 0.97
 """The most that memory may grow by, and the least real-time factor."""
 ACTS = ("join", "push")
 """What visitors must have managed, or nothing was tried."""
+RARE = 0.05
+"""Of what visitors do no more than this part of what works out may fail: all of them may be frozen when one is to act."""
 SPARE = 2
 """Descriptors and threads that the end may have more than the beginning: whoever is just there has some."""
 
@@ -69,10 +71,23 @@ class Health:
         passed, simulated = now - self._last, (number - self._number) / self._base_hz
         self._last, self._number = now, number
         memory = int((PROC / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-        sample = Sample(now - self.begin, memory, len(list((PROC / "fd").iterdir())), threading.active_count(),
-                        simulated / passed, max(0.0, passed - simulated), images, visitors)
+        sample = Sample(now - self.begin, memory, _count("fd"), _count("task"), simulated / passed,
+                        max(0.0, passed - simulated), images, visitors)
         self.samples.append(sample)
         return sample
+
+
+def _failures(failed: Mapping[str, int]) -> Counter[str]:
+    """How often each act failed, for whatever reason."""
+    acts: Counter[str] = Counter()
+    for why, number in failed.items():
+        acts[why.partition(":")[0]] += number
+    return acts
+
+
+def _count(what: str) -> int:
+    """How many of these the process has: of its "task"s some are threads that Python knows nothing of."""
+    return len(list((PROC / what).iterdir()))
 
 
 def summary(samples: Sequence[Sample]) -> dict[str, Any]:
@@ -107,6 +122,8 @@ def faults(found: dict[str, Any], errors: Sequence[str]) -> list[str]:
     if found["real_time_factor"] < FACTOR:
         told.append(f"the real-time factor is {found['real_time_factor']:.3f}, of {FACTOR} at least")
     told += [f"no visitor managed to {act}" for act in ACTS if not found["done"].get(act)]
+    told += [f"what visitors did failed: {act}, {number} times beside {found['done'].get(act, 0)} that worked out"
+             for act, number in _failures(found["failed"]).items() if number > RARE * found["done"].get(act, 0)]
     if found["recording"]["trouble"]:
         told.append(f"recording: {found['recording']['trouble']}")
     return [*told, *(f"error: {error}" for error in errors)]

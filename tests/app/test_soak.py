@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.endurance.health import GROWTH, Sample, faults, summary
+from app.endurance.health import GROWTH, Health, Sample, Steps, faults, summary
 from app.endurance.soak import Errors, Job, soak
 from hrc.errors import HrcError
 
@@ -20,8 +20,9 @@ def run(minutes: int, **growth: float) -> list[Sample]:
             for i in range(1, minutes + 1)]
 
 
-def judged(samples: list[Sample], *errors: str) -> list[str]:
-    return faults({**summary(samples), "recording": {"trouble": ""}, "done": {"join": 3, "push": 1}}, errors)
+def judged(samples: list[Sample], *errors: str, **failed: int) -> list[str]:
+    done = {"join": 3, "push": 1, "stop": 40}
+    return faults({**summary(samples), "recording": {"trouble": ""}, "done": done, "failed": failed}, errors)
 
 
 def test_a_calm_run_has_no_faults() -> None:
@@ -47,8 +48,20 @@ def test_lost_time_and_errors_are_faults() -> None:
 
 
 def test_a_soak_that_nobody_came_to_is_none() -> None:
-    found = {**summary(run(10)), "recording": {"trouble": ""}, "done": {"join": 3}}
+    found = {**summary(run(10)), "recording": {"trouble": ""}, "done": {"join": 3}, "failed": {}}
     assert faults(found, ()) == ["no visitor managed to push"]
+
+
+def test_visitors_who_do_not_get_what_they_want_are_a_fault_unless_it_is_rare() -> None:
+    assert judged(run(10), **{"stop: TimeoutError never": 1, "stop: KeyError x": 1}) == []
+    found = judged(run(10), **{"stop: TimeoutError never": 2, "stop: KeyError x": 1})
+    assert found == ["what visitors did failed: stop, 3 times beside 40 that worked out"]
+    assert "vanish" in judged(run(10), **{"vanish: KeyError": 1})[0]
+
+
+def test_threads_are_counted_that_python_does_not_know_of() -> None:
+    health = Health(Steps(), 1000)
+    assert health.take(visitors=0, images=0).threads == len(list(Path("/proc/self/task").iterdir()))
 
 
 def test_tracebacks_and_logged_errors_are_collected(capsys: pytest.CaptureFixture[str]) -> None:
