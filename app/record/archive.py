@@ -3,18 +3,18 @@
 import contextlib
 import gc
 import importlib
-import io
 import json
 import re
 import shutil
 import sys
+import tempfile
 import threading
 import time
 import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 from app import output
 from app.record.folder import METRICS, SESSION, SKIPPED, EventLog, files
@@ -259,12 +259,20 @@ class Archive:
         with output.claimed(self.folder(name)):
             shutil.rmtree(self.root / name)
 
-    def packed(self, name: str) -> bytes:
-        """A recording as a zip file. Raises ArchiveError for one that is too large."""
-        folder, packed = self.folder(name), io.BytesIO()
+    def packed(self, name: str) -> tuple[BinaryIO, int]:
+        """A recording as a zip file that goes when it is closed, at its beginning, and its size [bytes].
+
+        Raises ArchiveError for one that is too large.
+        """
+        folder = self.folder(name)
         if self.size(name) > MOST_BYTES:
             raise ArchiveError(f"{name} has more than {MOST_BYTES / 1e9:g} GB; take it from {self.root.name}/ on the server")
-        with zipfile.ZipFile(packed, "w") as zipped:
-            for path in sorted(folder.iterdir()):
-                zipped.write(path, f"{name}/{path.name}")
-        return packed.getvalue()
+        with contextlib.ExitStack() as unless:
+            packed = cast(BinaryIO, unless.enter_context(tempfile.TemporaryFile(dir=self.root)))
+            with zipfile.ZipFile(packed, "w") as zipped:
+                for path in sorted(folder.iterdir()):
+                    zipped.write(path, f"{name}/{path.name}")
+            size = packed.tell()
+            packed.seek(0)
+            unless.pop_all()
+        return packed, size

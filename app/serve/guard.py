@@ -4,7 +4,8 @@ viser has no hook for any of this, but it builds its server by `websockets.async
 `process_request` sees every request before it is answered, `create_connection` makes the object whose `recv` hands the
 messages over, and `sock` takes a socket bound beforehand (viser would move on to the next port in silence). So `serve`
 is wrapped while viser's constructor runs. Private names of viser are used in this file, inbound.py, icons.py,
-jpeg.py, wakeup.py, backlog.py and pulse.py only; its version is pinned, and tests/app/test_guard.py is the tripwire.
+jpeg.py, wakeup.py, backlog.py, pulse.py and download.py only; its version is pinned, and tests/app/test_guard.py
+is the tripwire.
 """
 
 import asyncio

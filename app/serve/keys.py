@@ -77,4 +77,4 @@ class Keys:
         location = "/" + url.path.lstrip("/") + (f"?{rest}" if rest else "")  # never "//host", which is another host
         return Response(302, "Found", Headers({
             "Location": location, "Content-Length": "0", "Cache-Control": "no-store",
-            "Set-Cookie": f"{cookie}={token}; HttpOnly; SameSite=Strict; Path=/" + ("; Secure" if secure else "")}))
+            "Set-Cookie": f"{cookie}={token}; HttpOnly; SameSite=Lax; Path=/" + ("; Secure" if secure else "")}))

@@ -84,7 +84,7 @@ class Page:
         self._obstacles = obstacles = ObstacleControls(self.server, self.session, view, self.journal.refuse)
         placing = CameraControls(self.server, self.session, self.journal.refuse)
         steering = Steering(self.server, self.session, self.journal.refuse)
-        tuning = Tuning(self.server, self.session, config, self.journal)
+        tuning = Tuning(self.server, self.session, config, self.journal, self.guard)
         demo = Demo(self.server, self.session, self.journal.refuse)
         self.recordings = RecordingControls(self.server, self.session, archive, self.journal, local=is_loopback(access.host))
         listed = dict.fromkeys((*scenarios.names(), scenario))

@@ -10,6 +10,7 @@ import viser
 from app.headless import versions
 from app.record.archive import Archive, load
 from app.review import LOOPBACK, Server, recordings, viewer
+from app.serve import download
 from app.serve.journal import Journal
 from app.serve.session import Phase, Session
 from hrc.errors import HrcError
@@ -29,6 +30,7 @@ class RecordingControls:
         self._local = local
         self._reviewed: Server | None = None
         self._note, self._problem, self._busy = "", "", False
+        self._doomed = ""  # the recording that one more press of Delete removes
         self._loading: threading.Timer | None = None
         archive.over = self._over
 
@@ -83,6 +85,8 @@ class RecordingControls:
             if self._busy:
                 return
             self._busy, self._problem = True, ""
+            if act != self._delete:
+                self._doomed = ""
             try:
                 await asyncio.to_thread(act, event)  # it may take a second
             except (HrcError, OSError, ModuleNotFoundError) as error:
@@ -109,6 +113,7 @@ class RecordingControls:
         if now is not None:
             self._note = f"{escape(now.folder.name)}: {_length(now.seconds)}, {self.archive.size(now.folder.name) / 1e6:.1f} MB"
             self._journal.tell(f"recorded {now.folder.name}")
+            self._show_list(now.folder.name)
 
     def _over(self, told: str) -> None:
         self._problem = told
@@ -133,9 +138,9 @@ class RecordingControls:
     def _download(self, event: viser.GuiEvent[Any]) -> None:
         name = self._list.value
         self._mend(name)
-        packed = self.archive.packed(name)
+        packed, size = self.archive.packed(name)
         if event.client is not None:
-            event.client.send_file_download(f"{name}.zip", packed, save_immediately=True)
+            download.send(self._server, event.client, f"{name}.zip", packed, size)
 
     def _mend(self, name: str) -> None:
         for line in self.archive.mend(name):
@@ -143,14 +148,20 @@ class RecordingControls:
 
     def _delete(self, _: Any) -> None:
         name = self._list.value
+        if name != self._doomed:
+            self._doomed, self._note = name, f"Press Delete once more, and {escape(name)} is gone."
+            return
         self.archive.delete(name)
-        self._note = ""
+        self._doomed, self._note = "", ""
         self._journal.tell(f"deleted {name}")
 
-    def _show_list(self) -> None:
+    def _show_list(self, chosen: str = "") -> None:
+        """chosen: the recording that what follows is about; by default it stays the one that it was."""
         names = self.archive.names()
         self._list.options = tuple(names) or (NONE,)
-        if self._list.value not in self._list.options:
+        if chosen in names:
+            self._list.value = chosen
+        elif self._list.value not in self._list.options:
             self._list.value = self._list.options[0]
         for button in self._acts:
             button.disabled = not names

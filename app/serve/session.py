@@ -19,7 +19,7 @@ from hrc.cell.run import Inbox, Observer, run
 from hrc.cell.scenario import Scenario
 from hrc.config import Config
 from hrc.errors import HrcError
-from hrc.events import Event, MoveObstacle, Press, Reset, Resume, Stop
+from hrc.events import Event, MoveCamera, MoveObstacle, MoveTarget, Press, Pull, Reset, Resume, Stop
 from hrc.messages import Snapshot
 
 HANGS, BUILDS = 10.0, 120.0
@@ -65,7 +65,22 @@ class _Shield:
             self._say(f"{name} failed ({type(error).__name__}: {error}) and is left out; the cell goes on")
 
 
-class _Inbox(Inbox):
+def _supersedes(event: Event, waiting: Event) -> bool:
+    """Whether an event says all that one before it said that nothing has come of yet: where the same thing is dragged."""
+    match event, waiting:
+        case Pull(link, point), Pull(before, there):
+            return (link, point) == (before, there)
+        case MoveTarget(), MoveTarget():
+            return True
+        case MoveObstacle(name, _, turned), MoveObstacle(before, _, was):
+            return name == before and (turned is not None or was is None)
+        case MoveCamera(name), MoveCamera(before):
+            return name == before
+        case _:
+            return False
+
+
+class PageInbox(Inbox):
     """Remembers what it gave out for the step that is being taken: if that step fails, no snapshot tells of it.
 
     alive: when that was [s, monotonic].
@@ -76,7 +91,18 @@ class _Inbox(Inbox):
         self.given: list[Event] = []
         self.alive = time.monotonic()
 
+    def put(self, event: Event) -> None:
+        """An event for the next tick; of a drag that goes on while time stands still, the newest is kept."""
+        try:
+            if _supersedes(event, self._put[-1]):
+                self._put[-1] = event
+                return
+        except IndexError:  # there is none, or it has just been taken
+            pass
+        super().put(event)
+
     def take(self, tick: int) -> list[Event]:
+        """Everything due before the step that follows `tick`."""
         self.alive = time.monotonic()
         due = super().take(tick)
         self.given = due.copy() if tick else self.given + due  # at tick 0 once more in the same step, after a Reset
@@ -101,8 +127,9 @@ class Session:
         self._settings = dict(settings or {})
         self._wanted: queue.Queue[str | None] = queue.Queue()
         self._lock = threading.Lock()  # what is put, or asked for, belongs to one cell or to the next
-        self._inbox: _Inbox | None = None
+        self._inbox: PageInbox | None = None
         self._stop: Stop | None = None
+        self._wait = False  # whether the cell that is being built shall begin paused
         self._pacer = RealTime()
         self._alive = time.monotonic()
         self._welcome: tuple[Event, ...] = ()
@@ -122,6 +149,7 @@ class Session:
         """Leave the running cell and start another with this scenario."""
         with self._lock:
             self.scenario, self.status = name, Status(Phase.STARTING, f'starting "{name}"')
+            self._wait = False
             self._wanted.put(name)
 
     def close(self) -> None:
@@ -161,11 +189,13 @@ class Session:
 
     @paused.setter
     def paused(self, paused: bool) -> None:
-        self._pacer.paused = paused
+        with self._lock:
+            self._wait = paused and self.status.phase is Phase.STARTING
+            self._pacer.paused = paused
 
     def step(self, ticks: int) -> None:
         """Pause, and take so many steps."""
-        self._pacer.paused = True
+        self.paused = True
         self._pacer.step_once(ticks)
 
     @property
@@ -233,12 +263,15 @@ class Session:
         brought = any(isinstance(event, (Press, MoveObstacle)) for _, event in script.events)
         self._welcome = () if brought else (MoveObstacle("ball", HOME["ball"]),)
         base_hz = config.rates.base_hz
-        pacer, inbox = RealTime(base_hz, self._pacer.speed), _Inbox(script, base_hz)
+        pacer, inbox = RealTime(base_hz, self._pacer.speed), PageInbox(script, base_hz)
         with self._lock:
             if not self._wanted.empty():
                 return
             for event in (*self._welcome, *filter(None, [self._stop])):
                 inbox.put(event)
+            if self._wait:
+                pacer.paused = True
+                pacer.step_once(1)  # so that there is something to see
             self.config, self._pacer, self._inbox, self._stop = config, pacer, inbox, None
             self.status = Status(Phase.RUNNING)
         self._say(f'"{name}" is running')

@@ -6,6 +6,7 @@ from typing import Any
 
 import viser
 
+from app.serve.guard import Guard
 from app.serve.inputs import Inputs
 from app.serve.journal import Journal
 from app.serve.session import Session
@@ -23,8 +24,8 @@ MOST_TROUBLE = 12
 class Tuning:
     """config: the parameters as they are now. start: as this cell began, after scenario and command line."""
 
-    def __init__(self, server: viser.ViserServer, session: Session, config: Config, journal: Journal) -> None:
-        self._server, self._session, self._journal = server, session, journal
+    def __init__(self, server: viser.ViserServer, session: Session, config: Config, journal: Journal, guard: Guard) -> None:
+        self._server, self._session, self._journal, self._guard = server, session, journal, guard
         self.config = self.start = config
 
     def add(self, inputs: Inputs) -> None:
@@ -86,13 +87,22 @@ class Tuning:
             apply = client.gui.add_button(f"Apply the other {rest}" if rest != 1 else "Apply the other one", visible=rest > 0)
             leave = client.gui.add_button("Leave all as it is", color="gray")
 
-        async def on_apply(_: Any) -> None:
+        def close() -> None:
+            self._guard.bind(apply, leave)
             modal.close()
-            self._take(client, name, found.changes)
+
+        async def on_apply(_: Any) -> None:
+            close()
+            if self._guard.seat.admits(client.client_id):
+                self._take(client, name, found.changes)
+            else:
+                client.add_notification(name, "Not taken: somebody else drives", color="red", auto_close_seconds=10.0)
 
         async def on_leave(_: Any) -> None:
-            modal.close()
+            close()
 
+        # The question covers the page: it can be closed also by who has lost the seat meanwhile.
+        self._guard.free(apply, leave)
         apply.on_click(on_apply)
         leave.on_click(on_leave)
 

@@ -2,7 +2,8 @@
 
 import os
 import subprocess
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,16 +56,33 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[Page]":
 
 
 @pytest.fixture(scope="module")
-def keyed() -> "Iterator[Page]":
+def keyed(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[Page]":
     """A page that asks for a token: target.TOKEN of who may drive, target.WATCH of who may watch."""
     from app.serve.access import Access
     from app.serve.keys import Keys
     from app.serve.main import Page
 
-    page = Page("free", Access(port=0, keys=Keys(TOKEN, WATCH)), say=lambda _: None)
+    recordings = tmp_path_factory.mktemp("keyed") / "recordings"
+    page = Page("free", Access(port=0, keys=Keys(TOKEN, WATCH)), say=lambda _: None, recordings=recordings)
     page.start()
     yield page
     page.close()
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[[int], subprocess.Popen[bytes]]]:
+    """Starts the page on a port, in a process of its own."""
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(port: int) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "app", "serve", "--port", str(port)]
+        started.append(subprocess.Popen(command, stdout=subprocess.DEVNULL))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
 
 
 @pytest.fixture

@@ -1,7 +1,6 @@
 """The list of recordings: a name is a name of the list and never a path; and what ends a recording by itself."""
 
 import gc
-import io
 import json
 import shutil
 import subprocess
@@ -130,7 +129,9 @@ def test_what_is_not_in_the_list_is_neither_read_nor_deleted(archive, name):
 
 def test_it_is_packed_whole_and_deleted(archive, monkeypatch):
     (name,) = archive.names()
-    with zipfile.ZipFile(io.BytesIO(archive.packed(name))) as packed:
+    file, size = archive.packed(name)
+    assert len(file.read()) == size
+    with file, zipfile.ZipFile(file) as packed:
         assert packed.testzip() is None
         assert {f"{name}/{file}" for file in ("session.rrd", "signals.parquet", "config.json", "events.jsonl",
                                               "metrics.json")} == set(packed.namelist())

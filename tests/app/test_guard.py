@@ -208,7 +208,7 @@ def test_token_opens_the_door_and_moves_into_a_cookie() -> None:
         assert (moved.status, moved.headers["Location"]) == (302, "/?fixedDpr=1")
         cookie = moved.headers["Set-Cookie"]
         assert "HttpOnly" in cookie
-        assert "SameSite=Strict" in cookie
+        assert "SameSite=Lax" in cookie
         known = {"Cookie": cookie.split(";")[0]}
         assert bench.get(**known).status == 200
         assert bench.get(host="192.0.2.7:8080", **known).status == 200

@@ -140,6 +140,23 @@ def test_of_an_old_settings_file_the_rest_is_taken_after_asking(raw: VClient) ->
     until(lambda: raw.value("k_p [1/s]") == 10.0)
 
 
+def test_who_has_lost_the_seat_can_still_close_the_question_and_changes_nothing(served: Page, raw: VClient) -> None:
+    upload(raw, "control.k_p = 6.0\ncontrol.k_old = 3.0\n")
+    until(lambda: raw.gui[raw.widget("Apply the other one")]["props"]["visible"])
+    other = VClient(served.server.get_port())
+    until(lambda: other.ready.is_set() and other.seat())
+    raw.hand_back()
+    other.click("Take control")
+    until(other.drives)
+    refused = served.guard.refused["not the operator"]
+    raw.click("Apply the other one")
+    raw.set("k_p [1/s]", 8.0)  # comes after it
+    until(lambda: served.guard.refused["not the operator"] > refused)
+    assert served.guard.refused["not the operator"] == refused + 1, "the answer was let in"
+    until(lambda: other.value("k_p [1/s]") == 10.0)
+    other.close()
+
+
 @pytest.mark.parametrize("text", ["control = [", "\x00", "<html>"])
 def test_a_file_that_holds_no_settings_is_named_in_the_log(raw: VClient, text: str) -> None:
     upload(raw, text)

@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import threading
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from vclient import VClient, until
 
 from app.record.repair import look
 from app.replay import exact
-from app.serve import recordings
+from app.serve import download, recordings
 from app.serve.access import Access
 from app.serve.main import Page
 
@@ -38,7 +39,46 @@ def test_record_stop_list_and_delete_over_the_wire(served: Page, raw: VClient) -
         raw.send({"type": "GuiUpdateMessage", "uuid": raw.widget("Recording"), "updates": {"value": value}})
     until(lambda: served.guard.refused.total() == refused + 5)
     raw.click("Delete")
+    until(lambda: f"Press Delete once more, and {name} is gone" in raw.text())
+    assert archive.names() == [name]
+    raw.click("Delete")
     until(lambda: list(archive.root.iterdir()) == [])
+
+
+def test_what_follows_a_recording_is_about_that_one(served: Page, raw: VClient) -> None:
+    archive, made = served.recordings.archive, list[str]()
+    raw.set("Images", "none")
+    for _ in range(2):
+        until(lambda: not raw.gui[raw.widget("Record")]["props"]["disabled"] and not recording(raw))
+        raw.click("Record")
+        until(lambda: archive.now is not None and archive.now.seconds > 0.1)
+        raw.click("End the recording")
+        until(lambda: archive.now is None and len(archive.names()) > len(made))
+        made.append(next(name for name in archive.names() if name not in made))
+        until(lambda: raw.value("Recording") == made[-1])
+    raw.click("Delete")
+    until(lambda: f"{made[1]} is gone" in raw.text())
+    raw.set("Recording", made[0])
+    raw.click("Delete")
+    until(lambda: f"{made[0]} is gone" in raw.text())
+    assert len(archive.names()) == 2, "another one was chosen in between: that one is asked about anew"
+    raw.click("Delete")
+    until(lambda: archive.names() == [made[1]])
+    archive.delete(made[1])
+
+
+def test_a_download_leaves_room_for_the_banner_and_for_stop(served: Page, raw: VClient) -> None:
+    big = served.recordings.archive.root / "big.bin"
+    big.parent.mkdir(exist_ok=True)
+    big.write_bytes(bytes(4_000_000))
+    (client,) = (c for c in served.server.get_clients().values() if str(c.client_id) == raw.seat()["visitor"])
+    waiting, most = client._websock_connection.get_message_buffer().message_from_id, 0
+    download.send(served.server, client, "big.zip", big.open("rb"), 4_000_000)
+    while any(thread.name == "download" for thread in threading.enumerate()):
+        most = max(most, len(waiting))
+    assert 1 <= most <= 5, "one of 31 pieces waits at a time, beside what else this visitor is told"
+    until(lambda: raw.banner()["mode"] == "idle")
+    big.unlink()
 
 
 def test_a_cell_that_makes_room_for_another_ends_its_recording_and_says_so(served: Page, raw: VClient) -> None:

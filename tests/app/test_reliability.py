@@ -1,27 +1,25 @@
 """What becomes of the page when something around it fails: an observer, the clock, the process itself."""
 
-import contextlib
 import queue
 import signal
-import socket
 import subprocess
-import sys
 import time
-import urllib.request
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from playwright.sync_api import expect
+from process import answers, free_port
 from test_page_explain import upload
 from vclient import VClient, until
 
 from app.serve.access import Access
 from app.serve.mailbox import Mailbox
 from app.serve.main import Page
-from app.serve.session import Phase, Session
-from hrc.events import Event, Reset, Resume, Stop
+from app.serve.session import PageInbox, Phase, Session
+from hrc.cell import scenario
+from hrc.events import Event, MoveObstacle, MoveTarget, Pull, Release, Reset, Resume, SetParameter, Stop
 from hrc.messages import Mode, Snapshot
 
 ELBOW = "/robot/link_4"
@@ -157,6 +155,34 @@ def test_an_exception_in_a_running_cell_stops_it_with_the_last_events_in_the_log
     client.close()
 
 
+def test_a_pause_while_a_cell_is_built_holds_for_it(served: Page, raw: VClient) -> None:
+    served.session.open("push")
+    raw.set("Simulation", "Pause")
+    until(lambda: served.session.status.phase is Phase.RUNNING and raw.banner()["paused"] == "true", 60.0)
+    begun = float(raw.banner()["time"])
+    time.sleep(0.5)
+    assert float(raw.banner()["time"]) == begun < 0.1
+    until(lambda: "Play" in raw.gui[raw.widget("Simulation")]["props"]["options"])
+    raw.set("Simulation", "Play")
+    until(lambda: float(raw.banner()["time"]) > 0.3)
+    served.session.open("free")
+    until(lambda: served.session.status.phase is Phase.RUNNING and float(raw.banner()["time"]) > 0.3, 60.0)
+
+
+def test_a_drag_that_time_waits_for_is_one_event_when_it_goes_on() -> None:
+    inbox = PageInbox(scenario.load("free"), 1000)
+    drag = [Pull(4, (0.0, 0.0, 0.0), (0.01 * i, 0.0, 0.5)) for i in range(200)]
+    for event in (*drag, Release(), *drag, Pull(5, (0.0, 0.0, 0.0), (0.0, 0.0, 0.5)), MoveTarget((-0.5, 0.0, 0.4)),
+                  MoveTarget((-0.5, 0.1, 0.4)), MoveObstacle("ball", (0.1, 0.0, 0.5), (1.0, 0.0, 0.0, 0.0)),
+                  MoveObstacle("ball", (0.2, 0.0, 0.5)), MoveObstacle("ball", (0.3, 0.0, 0.5)),
+                  MoveObstacle("slab", (0.3, 0.0, 0.5)), SetParameter("task.speed", 0.1), SetParameter("task.speed", 0.2)):
+        inbox.put(event)
+    assert inbox.take(1) == [
+        drag[-1], Release(), drag[-1], Pull(5, (0.0, 0.0, 0.0), (0.0, 0.0, 0.5)), MoveTarget((-0.5, 0.1, 0.4)),
+        MoveObstacle("ball", (0.1, 0.0, 0.5), (1.0, 0.0, 0.0, 0.0)), MoveObstacle("ball", (0.3, 0.0, 0.5)),
+        MoveObstacle("slab", (0.3, 0.0, 0.5)), SetParameter("task.speed", 0.1), SetParameter("task.speed", 0.2)]
+
+
 @pytest.mark.parametrize("jump", [86400.0, -86400.0])
 def test_system_clock_that_is_set_by_a_day_goes_unnoticed(
         served: Page, raw: VClient, monkeypatch: pytest.MonkeyPatch, jump: float) -> None:
@@ -174,33 +200,6 @@ def test_system_clock_that_is_set_by_a_day_goes_unnoticed(
     raw.drag(ELBOW, "end", point, point)
     until(lambda: float(raw.banner()["truth"]) == 0.0)
     assert served.session.status.phase is Phase.RUNNING
-
-
-@pytest.fixture
-def serve() -> Iterator[Callable[[int], subprocess.Popen[bytes]]]:
-    """Starts the page on a port, in a process of its own."""
-    started: list[subprocess.Popen[bytes]] = []
-
-    def start(port: int) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "app", "serve", "--port", str(port)]
-        started.append(subprocess.Popen(command, stdout=subprocess.DEVNULL))
-        return started[-1]
-
-    yield start
-    for process in started:
-        process.kill()
-        process.wait()
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return listener.getsockname()[1]
-
-
-def answers(port: int) -> bool:
-    with contextlib.suppress(OSError), urllib.request.urlopen(f"http://127.0.0.1:{port}/app/favicon.svg", timeout=5.0) as reply:
-        return reply.status == 200
-    return False
 
 
 @pytest.mark.browser
