@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from small_campaign import SHORT
 from target import TOKEN, WATCH
 from vclient import VClient, until
 
@@ -67,6 +68,14 @@ def keyed(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[Page]":
     page.start()
     yield page
     page.close()
+
+
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
+    """The file of a campaign of a few short episodes."""
+    path = tmp_path / "short.toml"
+    path.write_text(SHORT)
+    return path
 
 
 @pytest.fixture

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from small_campaign import SHORT, row
 
 from app.__main__ import main
 from app.bench.pushes import dynamics
 from app.bench.touches import poses, samples
-from app.campaign import places, plan, store, summary, worst
+from app.campaign import places, plan, store, worst
 from app.campaign.command import SUMMARY
 from app.campaign.contacts import TAP, share, surface_along
 from app.campaign.episode import Episode, play
@@ -30,30 +31,6 @@ from hrc.parameters import keys, replaced
 from hrc.paths import assets
 from hrc.scene import BodySpec
 from hrc.vision.camera import CameraConfig
-
-SHORT = """
-title = "Short"
-episodes = 2
-metrics = ["missed", "force_error_N"]
-
-[set]
-task.kind = "hold"
-camera = { width = 128, height = 106, fx = 91.0, fy = 91.0, cx = 63.0, cy = 51.0 }
-situation = { settle = 0.2, held = 0.1, after = 0.05, judged_from = 0.05, profile = "step" }
-
-[sweep]
-plant.friction_left = [0.0, 0.3]
-
-[random]
-plant.payload = { low = 0.0, high = 0.2 }
-"""
-
-
-@pytest.fixture
-def short(tmp_path: Path) -> Path:
-    path = tmp_path / "short.toml"
-    path.write_text(SHORT)
-    return path
 
 
 def trial(**changes: object) -> Trial:
@@ -243,10 +220,6 @@ def summary_of(out: Path) -> dict[str, list[object]]:
 # -- records ------------------------------------------------------------------------------------------------------------
 
 
-def row(index: int, **values: object) -> dict[str, object]:
-    return {"index": index, "episode": index // 2, "plant.friction_left": [0.0, 0.3][index % 2], "error": None, **values}
-
-
 def test_a_torn_last_line_is_cut_and_what_is_whole_stays(short: Path, tmp_path: Path) -> None:
     campaign, out = load(short), tmp_path / "out"
     with store.opened(out, campaign) as opened:
@@ -377,54 +350,6 @@ def test_a_record_without_room_is_one_clear_line_and_costs_no_other(short: Path,
     with store.opened(out, campaign) as opened:
         assert list(opened.records) == [0]
         opened.add(row(1))
-
-
-def test_means_and_intervals_are_those_of_the_values(short: Path) -> None:
-    campaign, rng = load(short, 40), np.random.default_rng(0)
-    values = rng.normal(3.0, 1.0, 80)
-    records = [row(i, missed=i % 8 == 0, force_error_N=float(values[i])) for i in range(80)]
-    records[5] = {"index": 5, "episode": 2, "plant.friction_left": 0.3, "error": "HrcError: no"}
-    table = summary.rows(campaign, records)
-    assert [(r["plant.friction_left"], r["metric"]) for r in table] == [
-        (0.0, "missed"), (0.0, "force_error_N"), (0.3, "missed"), (0.3, "force_error_N")]
-    assert [(r["n"], r["failed"]) for r in table] == [(40, 0), (40, 0), (39, 1), (39, 1)]
-    assert table[0]["mean"] == 0.25
-    assert 0.12 < table[0]["low"] < 0.25 < table[0]["high"] < 0.41
-    assert table[1]["mean"] == pytest.approx(values[::2].mean())
-    assert table[1]["high"] - table[1]["mean"] == pytest.approx(2.0227 * values[::2].std(ddof=1) / np.sqrt(40), rel=1e-4)
-    assert table[1]["p95"] == pytest.approx(np.percentile(values[::2], 95))
-    assert table[1]["difference_n"] == 0
-    pairs = np.delete(values[1::2] - values[::2], 2)
-    assert (table[3]["difference_n"], table[3]["difference_mean"]) == (39, pytest.approx(pairs.mean()))
-    assert table[3]["difference_low"] == pytest.approx(pairs.mean() - 2.0244 * pairs.std(ddof=1) / np.sqrt(39), rel=1e-4)
-
-
-def test_an_interval_holds_the_truth_as_often_as_it_says() -> None:
-    rng = np.random.default_rng(4)
-    held = [low <= 0.0 <= high for low, high in
-            ((d["low"], d["high"]) for d in (summary.described(list(rng.normal(size=12))) for _ in range(2000)))]
-    assert np.mean(held) == pytest.approx(0.95, abs=0.015)
-    held = [d["low"] <= 0.1 <= d["high"] for d in
-            (summary.described(list(rng.random(40) < 0.1), summary.wilson) for _ in range(2000))]
-    assert np.mean(held) > 0.93
-    none = summary.described([False] * 20, summary.wilson)
-    assert none["low"] == 0.0
-    assert none["high"] > 0.1
-
-
-def test_a_difference_of_shares_is_not_sure_where_all_pairs_agree(short: Path) -> None:
-    campaign = load(short, 30)
-    records = [row(i, missed=i % 6 < 2, force_error_N=1.0) for i in range(60)]
-    missed = next(r for r in summary.rows(campaign, records) if r["metric"] == "missed" and r["difference_n"])
-    assert (missed["difference_n"], missed["difference_mean"]) == (30, 0.0)
-    assert -0.2 < missed["difference_low"] < 0.0 < missed["difference_high"] < 0.2
-
-
-def test_an_interval_of_a_difference_of_shares_holds_the_truth_as_often_as_it_says() -> None:
-    rng = np.random.default_rng(5)
-    pairs = rng.choice([-1, 0, 1], p=[0.05, 0.8, 0.15], size=(2000, 60))
-    found = [summary.described(list(values), summary.agresti_min) for values in pairs]
-    assert 0.93 < np.mean([d["low"] <= 0.1 <= d["high"] for d in found]) < 0.98
 
 
 def test_the_worst_are_those_with_the_largest_error(short: Path) -> None:
