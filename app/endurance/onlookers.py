@@ -6,7 +6,7 @@ from typing import Any
 
 from app.browser import launched, opened
 
-STANDS = 3.0
+STANDS = 10.0
 """A page whose banner has not changed for so long stands still [s]; it changes ten times a second."""
 
 
@@ -24,8 +24,10 @@ def watch(url: str, number: int, ready: threading.Event, over: threading.Event, 
         while not over.is_set() and time.monotonic() < end:
             next(iter(tabs.values())).wait_for_timeout(1000.0)
         beats = {name: _beat(tab) for name, tab in tabs.items()}
-        next(iter(tabs.values())).wait_for_timeout(1000.0 * STANDS)
-        said += [f"{name}: it stands still" for name, tab in tabs.items() if _beat(tab) == beats[name]]
+        end = time.monotonic() + STANDS
+        while (still := [name for name, tab in tabs.items() if _beat(tab) == beats[name]]) and time.monotonic() < end:
+            next(iter(tabs.values())).wait_for_timeout(200.0)
+        said += [f"{name}: it stands still" for name in still]
     return said
 
 

@@ -4,7 +4,7 @@ import contextlib
 import io
 import signal
 import sys
-import threading
+import time
 import webbrowser
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -142,9 +142,9 @@ def serve(scenario: str = "free", access: Access = OWN, device: str = "cpu",
 
     Raises HrcError for what cannot be, before anything is served.
     """
-    over = threading.Event()
+    told: list[int] = []  # an Event would lock up for good when a second signal comes in the middle of the first one's set()
     for number in (signal.SIGINT, signal.SIGTERM):  # SIGTERM would be lost on the first process of a container
-        signal.signal(number, lambda *_: over.set())
+        signal.signal(number, lambda number, _: told.append(number))
     print("loading ...", flush=True)
     page = Page(scenario, access, device=device, settings=settings, seed=seed, say=lambda line: print(line, flush=True),
                 recordings=recordings, results=results)
@@ -157,7 +157,7 @@ def serve(scenario: str = "free", access: Access = OWN, device: str = "cpu",
     page.start()
     if open_browser:
         webbrowser.open(page.url)
-    while not over.wait(0.5):  # in short waits: a signal is handled between them on every platform
-        pass
+    while not told:
+        time.sleep(0.1)
     print("stopping ...", flush=True)
     page.close()

@@ -31,6 +31,8 @@ class RealTime:
     """
 
     CATCH_UP_S = 0.2
+    BURST = 10
+    """At most so many ticks at once, however late it is: a pause takes hold after them."""
     WINDOW_S = 1.0
 
     def __init__(self, base_hz: int = 1000, speed: float = 1.0, *, now: Callable[[], float] = time.perf_counter,
@@ -61,7 +63,7 @@ class RealTime:
             limit = self.CATCH_UP_S * max(1.0, self.speed)
             if self._owed > limit:
                 self._owed, self._window_dropped = limit, True
-            due = int(self._owed * self._base_hz)
+            due = min(int(self._owed * self._base_hz), self.BURST)
             self._owed -= due / self._base_hz
         self._count(now, due)
         if due == 0:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mouse import ON_SCREEN
+from mouse import ON_SCREEN, next_banner
 from playwright.sync_api import expect
 from vclient import VClient
 
@@ -41,6 +41,8 @@ def test_keys_palette_theme_hint_and_settings_file(tab: Any, tmp_path: Path) -> 
     expect(hint).to_be_hidden()
     tab.keyboard.press("p")
     expect(banner).to_have_attribute("data-paused", "true")
+    next_banner(tab)
+    next_banner(tab)  # it stands by now
     paused_at = float(banner.get_attribute("data-time"))
     tab.keyboard.press("n")
     expect(banner).to_have_attribute("data-time", f"{paused_at + 0.01:.3f}")
