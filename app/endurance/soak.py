@@ -176,7 +176,14 @@ def _finished(recorder: Recorder) -> dict[str, Any]:
         recorder.close()
     except HrcError as error:
         trouble = str(error)
+    _prune(recorder)
     return {"files": len(recorder.paths), "kept_bytes": recorder.bytes, "trouble": trouble}
+
+
+def _prune(recorder: Recorder) -> None:
+    """Only the newest files stay."""
+    for path in recorder.paths[:-KEPT]:
+        path.unlink(missing_ok=True)
 
 
 def _await(ready: threading.Event, tabs: "Future[list[str]]") -> None:
@@ -193,8 +200,7 @@ def _sample(health: Health, page: Page, recorder: Recorder, seconds: float) -> N
         while (passed := time.monotonic() - health.begin) < seconds:
             time.sleep(min(period, seconds - passed))
             health.take(visitors=len(page.server.get_clients()), images=recorder.images_dropped)
-            for path in recorder.paths[:-KEPT]:
-                path.unlink(missing_ok=True)
+            _prune(recorder)
             bar.update(round(health.samples[-1].time) - bar.n)
 
 
