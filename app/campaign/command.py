@@ -5,7 +5,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from itertools import islice
@@ -168,9 +168,10 @@ def _write(job: Job, campaign: Campaign, folder: Path, records: Sequence[Record]
     stamp, now = folder / STAMP, [len(records), campaign.title, campaign.description, [*campaign.metrics], [*indices]]
     there = all((folder / name).is_file() for name in (STAMP, TABLE, SUMMARY, report.REPORT))
     if not fresh and kept and there:
-        *before, named = json.loads(stamp.read_text(encoding="utf-8"))
-        if before == now[:-1] and (not job.record or named == now[-1]):
-            return ""
+        with suppress(ValueError):  # torn, by a process that was killed: then all is written again
+            *before, named = json.loads(stamp.read_text(encoding="utf-8"))
+            if before == now[:-1] and (not job.record or named == now[-1]):
+                return ""
     stamp.unlink(missing_ok=True)
     units = {name: metric.unit for name, metric in METRICS.items()}
     summary.write(folder / TABLE, records, units)

@@ -17,7 +17,7 @@ from app.__main__ import main
 from app.bench.pushes import dynamics
 from app.bench.touches import poses, samples
 from app.campaign import places, plan, store, worst
-from app.campaign.command import SUMMARY
+from app.campaign.command import STAMP, SUMMARY
 from app.campaign.contacts import TAP, share, surface_along
 from app.campaign.episode import Episode, play
 from app.campaign.metrics import METRICS
@@ -328,6 +328,9 @@ def test_tables_and_report_follow_what_is_asked_of_the_same_records(
     first = (out / "report.html").stat().st_mtime_ns
     main(["campaign", str(short), "--out", str(out)])
     assert (out / "report.html").stat().st_mtime_ns == first, "nothing new, nothing written"
+    (out / STAMP).write_text("")  # as a kill may leave it
+    main(["campaign", str(short), "--out", str(out)])
+    assert (out / "report.html").stat().st_mtime_ns > first
     short.write_text(SHORT.replace('title = "Short"', 'title = "Shorter"').replace('"missed", ', ""))
     main(["campaign", str(short), "--out", str(out), "--episodes", "1"])
     assert "2 of 2 records" in capsys.readouterr().out
