@@ -232,18 +232,15 @@ def tour(out: Path, *, film: bool = False, results: Path | None = None) -> None:
 
 @contextmanager
 def _served(results: Path | None) -> Iterator[tuple[Page, Callable[[], Snapshot]]]:
-    seen: list[Snapshot] = []
-
-    class Latest:
-        def on_step(self, snapshot: Snapshot, /) -> None:
-            seen[:] = [snapshot]
+    def look() -> Snapshot:
+        assert page.latest is not None  # a screen is made when the robot is drawn
+        return page.latest
 
     with TemporaryDirectory() as recordings:
-        page = Page("free", Access(port=0), say=lambda _: None, observers=(Latest(),), recordings=Path(recordings),
-                    results=results)
+        page = Page("free", Access(port=0), say=lambda _: None, recordings=Path(recordings), results=results)
         page.start()
         try:
-            yield page, lambda: seen[0]
+            yield page, look
         finally:
             page.close()
 

@@ -15,7 +15,7 @@ from typing import Any, get_args
 import numpy as np
 
 from app.bench import report
-from app.bench.cpu import TASKS, cores
+from app.bench.cpu import cores, threads
 from app.headless import versions
 from app.record.recorder import Depth, Recorder
 from hrc.cell import scenario
@@ -99,7 +99,7 @@ def _row(path: Path, depth: Depth, device: str, seconds: float) -> dict[str, Any
 def others() -> float:
     """CPU time [s] of all threads but this one: while nothing else runs, of the recorder and the SDK."""
     own = threading.get_native_id()
-    return 1e-9 * sum(int((task / "schedstat").read_text().split()[0]) for task in TASKS.iterdir() if int(task.name) != own)
+    return sum(seconds for number, seconds in threads() if number != own)
 
 
 def table(found: dict[str, Any]) -> list[str]:

@@ -20,6 +20,7 @@ from app.browser import delays, launched, opened
 from app.client import ELSEWHERE
 from app.serve.access import Access
 from app.serve.main import Page
+from app.serve.remote import RemoteCell
 from hrc.events import Pull
 from hrc.messages import Snapshot
 
@@ -49,19 +50,32 @@ AUDIENCES = (
 )
 
 
+@dataclass(frozen=True)
+class Told:
+    """at: when [s, monotonic]. time: how far the cell had come [s]. applied: when the pull to each place had been."""
+
+    at: float
+    time: float
+    applied: dict[Point, float]
+
+
 class Felt:
-    """Observes the cell: when the pull towards each place had been applied [s, monotonic]; and how far time has come."""
+    """A `Witness`: when the pull towards each place had been applied [s, monotonic]; and how far time has come."""
 
     def __init__(self) -> None:
-        self.applied: dict[Point, float] = {}
-        self.time = 0.0
+        self._applied: dict[Point, float] = {}
+        self._time = 0.0
 
     def on_step(self, snapshot: Snapshot) -> None:
         """This step's events act in it."""
-        self.time = snapshot.time
+        self._time = snapshot.time
         for event in snapshot.events:
             if isinstance(event, Pull):
-                self.applied[event.target] = time.monotonic()
+                self._applied[event.target] = time.monotonic()
+
+    def told(self) -> Told:
+        """What it has seen so far."""
+        return Told(time.monotonic(), self._time, dict(self._applied))
 
 
 def bench(device: str = "cpu", json: Path | None = None, quick: bool = False) -> None:
@@ -80,14 +94,13 @@ def bench(device: str = "cpu", json: Path | None = None, quick: bool = False) ->
 
 def measure(device: str, seconds: float) -> dict[str, Any]:
     """Every figure as it goes into the JSON; seconds: for each audience."""
-    felt = Felt()
-    page = Page("free", Access(port=0), device=device, say=lambda _: None, observers=(felt,))
+    page = Page("free", Access(port=0), device=device, say=lambda _: None, witness=Felt)
     page.start()
     try:
         _until_running(page)
         with ProcessPoolExecutor(1, get_context("spawn"), os.nice, (ELSEWHERE,)) as pool:
             pool.submit(abs, 0).result()  # its start is not to be seen in the figures
-            rows = [_row(audience, page, felt, pool, seconds) for audience in AUDIENCES]
+            rows = [_row(audience, page, pool, seconds) for audience in AUDIENCES]
     finally:
         page.close()
     conditions = {"cores": cores(), "system": platform.platform(), "python": platform.python_version(), "seconds": seconds,
@@ -100,7 +113,9 @@ def _until_running(page: Page) -> None:
         time.sleep(0.1)
 
 
-def _row(audience: Audience, page: Page, felt: Felt, pool: ProcessPoolExecutor, seconds: float) -> dict[str, Any]:
+def _row(audience: Audience, page: Page, pool: ProcessPoolExecutor, seconds: float) -> dict[str, Any]:
+    cell = page.session
+    assert isinstance(cell, RemoteCell)
     with contextlib.ExitStack() as stack:
         tab = None
         if audience.browser:
@@ -116,34 +131,36 @@ def _row(audience: Audience, page: Page, felt: Felt, pool: ProcessPoolExecutor, 
         time.sleep(2.0)
         if tab is not None:
             delays(tab)
-        before, begin, at, worst = by_part(), time.monotonic(), felt.time, np.inf
-        for factor in _seconds(felt, seconds - 2.0):
+        before, begin, worst = by_part(cell.pid), cell.ask("told"), np.inf
+        for factor in _seconds(cell, seconds - 2.0):
             worst = min(worst, factor)
-        passed, spent = time.monotonic() - begin, by_part()
+        end, spent = cell.ask("told"), by_part(cell.pid)
+        passed = end.at - begin.at
         row = {"name": audience.name, "clients": audience.raw + audience.browser, "seconds": passed,
                "cores": {part: (spent[part] - before[part]) / passed for part in spent},
-               "real_time_factor": (felt.time - at) / passed, "real_time_factor_worst_second": worst}
+               "real_time_factor": (end.time - begin.time) / passed, "real_time_factor_worst_second": worst}
         row["page_cores"] = row["cores"]["publisher"] + row["cores"]["server"]
         if tab is not None:
             row["publish_to_dom"] = _percentiles(delays(tab))
         if visits is not None:
-            row |= _seen(visits.result(timeout=seconds + 60.0), felt)
+            row |= _seen(visits.result(timeout=seconds + 60.0), cell.ask("told").applied)
         return row
 
 
-def _seconds(felt: Felt, seconds: float) -> Iterator[float]:
+def _seconds(cell: RemoteCell, seconds: float) -> Iterator[float]:
     """The real-time factor of each second."""
-    end = time.monotonic() + seconds
+    end, before = time.monotonic() + seconds, cell.ask("told")
     while time.monotonic() < end:
-        begin, at = time.monotonic(), felt.time
         time.sleep(1.0)
-        yield (felt.time - at) / (time.monotonic() - begin)
+        now = cell.ask("told")
+        yield (now.time - before.time) / (now.at - before.at)
+        before = now
 
 
-def _seen(visit: Visit, felt: Felt) -> dict[str, Any]:
+def _seen(visit: Visit, applied: dict[Point, float]) -> dict[str, Any]:
     largest = max(visit.traffic, key=lambda traffic: traffic.rate)
     streams = {name: size / largest.seconds for name, size in sorted(largest.streams.items(), key=lambda s: -s[1])}
-    lasted = [felt.applied[place] - sent for place, sent in visit.sent.items() if place in felt.applied]
+    lasted = [applied[place] - sent for place, sent in visit.sent.items() if place in applied]
     return {"bytes_per_s": largest.rate, "streams": streams, "publish_to_client": _percentiles(largest.late),
             "input_to_force": _percentiles(lasted), "lost_inputs": len(visit.sent) - len(lasted)}
 

@@ -1,4 +1,4 @@
-"""What becomes of this process over time: samples of it, and whether it is still as it was."""
+"""What becomes of the page over time, with its cell's process: samples of both, and whether they are still as they were."""
 
 import os
 import time
@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from hrc.errors import HrcError
-from hrc.messages import Snapshot
 
-PROC = Path("/proc/self")
+PROC = Path("/proc")
 SETTLED = 600.0
 """Memory counts from here on [s], or from a third of a shorter time."""
 GROWTH, FACTOR = 0.03, 0.97
@@ -43,38 +42,41 @@ class Sample:
     visitors: int
 
 
-class Steps:
-    """Observes a cell: counts its steps, over every reset."""
+@dataclass(frozen=True)
+class Counted:
+    """What was counted beside the cell. at: when [s, monotonic]. steps: over every reset. images_dropped: by the recording."""
 
-    def __init__(self) -> None:
-        self.number = 0
-
-    def on_step(self, _: Snapshot) -> None:
-        """One more."""
-        self.number += 1
+    at: float
+    steps: int
+    images_dropped: int = 0
 
 
 class Health:
-    """Takes samples. Raises HrcError where the system does not tell what a process holds."""
+    """Takes samples of this process and another. Raises HrcError where the system does not tell what a process holds."""
 
-    def __init__(self, steps: Steps, base_hz: int) -> None:
-        if not (PROC / "statm").exists():
-            raise HrcError("a soak reads /proc/self, which this system has not; run it on Linux")
-        self._steps, self._base_hz = steps, base_hz
-        self.begin = self._last = time.monotonic()
-        self._number = steps.number
+    def __init__(self, counted: Counted, base_hz: int, other: int | None = None) -> None:
+        """other: number of the process that the cell runs in."""
+        self._processes = [PROC / "self", *([PROC / str(other)] if other is not None else [])]
+        if not all((process / "statm").exists() for process in self._processes):
+            raise HrcError("a soak reads /proc, which this system has not; run it on Linux")
+        self._base_hz, self._last = base_hz, counted
+        self.begin = time.monotonic()
         self.samples: list[Sample] = []
 
-    def take(self, *, visitors: int, images: int) -> Sample:
+    def take(self, counted: Counted, *, visitors: int) -> Sample:
         """One more sample, now."""
-        now, number = time.monotonic(), self._steps.number
-        passed, simulated = now - self._last, (number - self._number) / self._base_hz
-        self._last, self._number = now, number
-        memory = int((PROC / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-        sample = Sample(now - self.begin, memory, _count("fd"), _count("task"), simulated / passed,
-                        max(0.0, passed - simulated), images, visitors)
+        passed, simulated = counted.at - self._last.at, (counted.steps - self._last.steps) / self._base_hz
+        self._last = counted
+        pages = sum(int((process / "statm").read_text().split()[1]) for process in self._processes)
+        memory = pages * os.sysconf("SC_PAGE_SIZE")
+        sample = Sample(time.monotonic() - self.begin, memory, self._count("fd"), self._count("task"), simulated / passed,
+                        max(0.0, passed - simulated), counted.images_dropped, visitors)
         self.samples.append(sample)
         return sample
+
+    def _count(self, what: str) -> int:
+        """How many of these they have: of its "task"s some are threads that Python knows nothing of."""
+        return sum(len(list((process / what).iterdir())) for process in self._processes)
 
 
 def _failures(failed: Mapping[str, int]) -> Counter[str]:
@@ -83,11 +85,6 @@ def _failures(failed: Mapping[str, int]) -> Counter[str]:
     for why, number in failed.items():
         acts[why.partition(":")[0]] += number
     return acts
-
-
-def _count(what: str) -> int:
-    """How many of these the process has: of its "task"s some are threads that Python knows nothing of."""
-    return len(list((PROC / what).iterdir()))
 
 
 def summary(samples: Sequence[Sample]) -> dict[str, Any]:

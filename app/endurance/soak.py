@@ -13,7 +13,8 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, TextIO
 
@@ -22,24 +23,18 @@ from tqdm import tqdm
 from app.bench.report import check, write
 from app.client import ELSEWHERE
 from app.endurance.crowd import riot
-from app.endurance.health import Health, Sample, Steps, faults, summary
+from app.endurance.health import Health, Sample, faults, summary
+from app.endurance.keeper import Keeper
 from app.endurance.onlookers import watch
-from app.record.recorder import Recorder
 from app.serve.access import Access
 from app.serve.main import Page
-from hrc.cell import scenario
-from hrc.cell.eyes import rig
-from hrc.config import Config
+from app.serve.remote import RemoteCell
+from app.serve.session import configured
 from hrc.errors import HrcError
-from hrc.parameters import keys
-from hrc.scene import load_scene
-from hrc.vision.camera import Camera
 
 BROWSERS = 2
 ROWS = 20
 """Lines of the printed table."""
-KEPT = 3
-"""Files of the recording that stay; older ones are deleted."""
 SCENARIO = "free"
 
 
@@ -123,15 +118,17 @@ def soak(job: Job) -> list[str]:
 
 
 def _run(job: Job, folder: Path) -> dict[str, Any]:
-    errors, steps, seconds = Errors(), Steps(), 3600.0 * job.hours
+    errors, seconds = Errors(), 3600.0 * job.hours
     with contextlib.ExitStack() as stack:
         stack.enter_context(errors.listening())
-        config = scenario.load(SCENARIO).configured(Config().replace(seed=job.seed))
-        recorder = _recorder(config, folder, 60.0 * job.rotate)
-        page = Page(SCENARIO, Access(port=0), seed=job.seed, say=errors.say, observers=(steps, recorder))
+        config = configured(SCENARIO, {}, job.seed)
+        page = Page(SCENARIO, Access(port=0), seed=job.seed, say=errors.say,
+                    witness=partial(Keeper, config, SCENARIO, folder, 60.0 * job.rotate))
         stack.callback(page.close)
         page.start()
-        while steps.number == 0:
+        cell = page.session
+        assert isinstance(cell, RemoteCell)
+        while page.latest is None:
             time.sleep(0.1)
         context = multiprocessing.get_context("spawn")
         pool = stack.enter_context(ProcessPoolExecutor(2, context, os.nice, (ELSEWHERE,)))
@@ -142,12 +139,13 @@ def _run(job: Job, folder: Path) -> dict[str, Any]:
         if tabs is not None:
             _await(ready, tabs)
         crowd = pool.submit(riot, page.server.get_port(), job.seed, over, seconds + 60.0)
-        health = Health(steps, config.rates.base_hz)
+        health = Health(cell.ask("counted"), config.rates.base_hz, cell.pid)
         try:  # whatever ends it early is an error among the others, and what was seen until then is told
-            _sample(health, page, recorder, seconds)
+            _sample(health, page, cell, seconds)
         except (Exception, KeyboardInterrupt) as error:
             errors.found.append(f"soak: {type(error).__name__}: {error}")
-            health.take(visitors=len(page.server.get_clients()), images=recorder.images_dropped)
+            if cell.pid is not None:
+                health.take(cell.ask("counted"), visitors=len(page.server.get_clients()))
         over.set()
         done, failed, said = {}, {}, []
         try:
@@ -156,34 +154,10 @@ def _run(job: Job, folder: Path) -> dict[str, Any]:
         except Exception as error:
             errors.found.append(f"visitors: {type(error).__name__}: {error}")
         errors.found += said
-        page.session.close()
+        recorded = asdict(cell.ask("finish"))
         return {"conditions": {"seconds": seconds, "browsers": job.browsers, "seed": job.seed}, **summary(health.samples),
                 "done": done, "failed": failed, "refused": dict(page.guard.refused), "errors": _once(errors.found),
-                "recording": _finished(recorder)}
-
-
-def _recorder(config: Config, folder: Path, rotate: float) -> Recorder:
-    scene = load_scene(config.scene)
-    cameras = {setup.name: Camera(setup.camera) for setup in rig(config, scene)}
-    return Recorder(folder / "soak.rrd", base_hz=config.rates.base_hz, scene=scene, cameras=cameras, parameters=keys(config),
-                    about={"scenario": SCENARIO, "seed": config.seed}, rotate=rotate, footer=False)
-
-
-def _finished(recorder: Recorder) -> dict[str, Any]:
-    """What became of the recording."""
-    trouble = ""
-    try:
-        recorder.close()
-    except HrcError as error:
-        trouble = str(error)
-    _prune(recorder)
-    return {"files": len(recorder.paths), "kept_bytes": recorder.bytes, "trouble": trouble}
-
-
-def _prune(recorder: Recorder) -> None:
-    """Only the newest files stay."""
-    for path in recorder.paths[:-KEPT]:
-        path.unlink(missing_ok=True)
+                "recording": recorded}
 
 
 def _await(ready: threading.Event, tabs: "Future[list[str]]") -> None:
@@ -193,14 +167,13 @@ def _await(ready: threading.Event, tabs: "Future[list[str]]") -> None:
             tabs.result()
 
 
-def _sample(health: Health, page: Page, recorder: Recorder, seconds: float) -> None:
+def _sample(health: Health, page: Page, cell: RemoteCell, seconds: float) -> None:
     """Samples until the time is over."""
     period = min(10.0, max(1.0, seconds / 200.0))
     with tqdm(total=round(seconds), unit="s", disable=not sys.stderr.isatty()) as bar:
         while (passed := time.monotonic() - health.begin) < seconds:
             time.sleep(min(period, seconds - passed))
-            health.take(visitors=len(page.server.get_clients()), images=recorder.images_dropped)
-            _prune(recorder)
+            health.take(cell.ask("counted"), visitors=len(page.server.get_clients()))
             bar.update(round(health.samples[-1].time) - bar.n)
 
 

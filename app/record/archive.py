@@ -1,28 +1,26 @@
-"""Recordings of a running cell, one at a time, each in a folder of its own, and the list of those that there are."""
+"""Recordings of a running cell, one at a time, each in a folder of its own."""
 
 import contextlib
 import gc
 import importlib
-import json
 import re
 import shutil
 import sys
-import tempfile
 import threading
 import time
-import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, cast
+from typing import TYPE_CHECKING, Any
 
 from app import output
-from app.record.folder import METRICS, SESSION, SKIPPED, EventLog, files
-from app.record.recover import complete, mend
+from app.record.folder import SESSION, SKIPPED, EventLog
+from app.record.recover import complete
+from app.record.shelf import ArchiveError, Progress, Shelf
 from app.record.spool import Spool
 from hrc.cell.eyes import rig
 from hrc.config import Config
-from hrc.errors import HrcError, unknown
+from hrc.errors import HrcError
 from hrc.events import Reset, SetParameter
 from hrc.messages import Snapshot
 from hrc.parameters import keys
@@ -34,12 +32,6 @@ if TYPE_CHECKING:
 
 MOST_S = 3600.0
 """Simulated seconds of the longest recording [s]: its signals pass through memory at the end, 0.6 GB an hour."""
-MOST_BYTES = 1_000_000_000
-"""Size of the largest download."""
-
-
-class ArchiveError(HrcError):
-    """There is no such recording, or none can be made."""
 
 
 class _Unhurried:
@@ -96,6 +88,11 @@ class Recording:
         """Simulated length so far [s]."""
         return self._rows / self._config.rates.control_hz
 
+    @property
+    def progress(self) -> Progress:
+        """How far it has come."""
+        return Progress(self.folder, self.seconds, self.recorder.bytes, self.recorder.images_dropped)
+
     def begin(self, before: EventLog, changed: Mapping[str, Any], cycles: int) -> None:
         """To be called before the first step. before: events of the cell; changed: parameters that they have set, by key;
         cycles: control ticks that it has taken.
@@ -133,11 +130,12 @@ class Recording:
             self.problem = self.problem or f"what a replay needs could not be written: {error}"
 
 
-class Archive:
+class Archive(Shelf):
     """An observer of a cell, and of the next one in its place. root: folder of the recordings, made with the first."""
 
     def __init__(self, root: Path, device: str = "cpu") -> None:
-        self.root, self._device = root, device
+        super().__init__(root)
+        self._device = device
         self._lock = threading.Lock()  # a recording must not end in the middle of a step
         self._log, self._cycles = EventLog(), 0
         self._changed: dict[str, Any] = {}
@@ -146,9 +144,13 @@ class Archive:
         """Told, on another thread, when a recording has ended by itself, and why."""
 
     @property
-    def now(self) -> Recording | None:
-        """The recording that is being made."""
-        return self._now
+    def now(self) -> Progress | None:
+        """The recording that is being made, which is not among the others yet."""
+        return self._now.progress if self._now is not None else None
+
+    def warm(self) -> None:
+        """Load what the first recording needs, so that whoever asks for it need not wait."""
+        load()
 
     def on_step(self, snapshot: Snapshot) -> None:
         """One step has been taken."""
@@ -220,59 +222,3 @@ class Archive:
     def _say_over(self, now: Recording, why: str) -> None:
         problem = now.finish()
         self.over(f"recording {now.folder.name} has ended: {problem or why}")
-
-    # -- those that there are ---------------------------------------------------------------------------------------
-
-    def names(self) -> list[str]:
-        """All recordings but the one that is being made, the newest first."""
-        now = self._now.folder.name if self._now is not None else ""
-        if not self.root.is_dir():
-            return []
-        folders = [path for path in self.root.iterdir() if path.name != now and not path.is_symlink() and files(path)]
-        return [path.name for path in sorted(folders, key=lambda path: (path / SESSION).stat().st_mtime, reverse=True)]
-
-    def folder(self, name: str) -> Path:
-        """The folder of one of them. Raises ArchiveError for anything else: a name is no path."""
-        if name not in self.names():
-            raise ArchiveError(unknown("recording", name, self.names()))
-        return self.root / name
-
-    def mend(self, name: str) -> list[str]:
-        """Put in order what a killed process has left of a recording; what was done, in words."""
-        done: list[str] = []
-        mend(self.folder(name), done.append)
-        return done
-
-    def size(self, name: str) -> int:
-        """Bytes of all files of a recording."""
-        return sum(path.stat().st_size for path in self.folder(name).iterdir())
-
-    def seconds(self, name: str) -> float | None:
-        """Simulated length of a recording [s]; None for one that was cut off."""
-        try:
-            return float(json.loads((self.folder(name) / METRICS).read_text())["simulated_s"])
-        except (OSError, ValueError, KeyError):
-            return None
-
-    def delete(self, name: str) -> None:
-        """Remove a recording from the disk. Raises OutputError while another process makes it."""
-        with output.claimed(self.folder(name)):
-            shutil.rmtree(self.root / name)
-
-    def packed(self, name: str) -> tuple[BinaryIO, int]:
-        """A recording as a zip file that goes when it is closed, at its beginning, and its size [bytes].
-
-        Raises ArchiveError for one that is too large.
-        """
-        folder = self.folder(name)
-        if self.size(name) > MOST_BYTES:
-            raise ArchiveError(f"{name} has more than {MOST_BYTES / 1e9:g} GB; take it from {self.root.name}/ on the server")
-        with contextlib.ExitStack() as unless:
-            packed = cast(BinaryIO, unless.enter_context(tempfile.TemporaryFile(dir=self.root)))
-            with zipfile.ZipFile(packed, "w") as zipped:
-                for path in sorted(folder.iterdir()):
-                    zipped.write(path, f"{name}/{path.name}")
-            size = packed.tell()
-            packed.seek(0)
-            unless.pop_all()
-        return packed, size

@@ -5,7 +5,7 @@ import time
 from dataclasses import dataclass
 from html import escape
 
-from app.serve.session import Phase, Session
+from app.serve.driver import Driver, Phase
 from hrc.config import Config
 from hrc.control.reaction import ReactionConfig
 from hrc.geometry import Array
@@ -47,7 +47,7 @@ class Facts:
     paused: bool = False
 
 
-def facts(session: Session, snapshot: Snapshot | None, config: Config) -> Facts:
+def facts(session: Driver, snapshot: Snapshot | None, config: Config) -> Facts:
     """What there is to say now. config: the parameters as they are now."""
     status = session.status
     if status.phase is not Phase.RUNNING or snapshot is None:

@@ -6,7 +6,7 @@ from html import escape
 
 import viser
 
-from app.serve.session import Session
+from app.serve.driver import Driver
 from hrc.errors import HrcError
 from hrc.events import Event, Press, RemoveObstacle, SetTask
 from hrc.messages import Mode, Snapshot
@@ -49,7 +49,7 @@ STEPS = (
 class Demo:
     """The button and the captions. `begin` and `update` are the publisher's to call; what a visitor asks for waits for them."""
 
-    def __init__(self, server: viser.ViserServer, session: Session, refuse: Callable[[str], None]) -> None:
+    def __init__(self, server: viser.ViserServer, session: Driver, refuse: Callable[[str], None]) -> None:
         self._server, self._session, self._refuse = server, session, refuse
         self._asked = self._enough = False
         self._at: int | None = None

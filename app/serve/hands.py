@@ -7,8 +7,8 @@ from typing import Any
 
 import viser
 
+from app.serve.driver import Driver
 from app.serve.scene import SceneView
-from app.serve.session import Session
 from app.serve.vigil import Vigil
 from hrc.errors import HrcError
 from hrc.events import Event, Pull, Release, Vector
@@ -27,7 +27,7 @@ class _Grip:
 class Hands:
     """Turns drags of links into events. One hand at a time: it holds until it lets go, leaves or falls silent."""
 
-    def __init__(self, server: viser.ViserServer, session: Session, view: SceneView,
+    def __init__(self, server: viser.ViserServer, session: Driver, view: SceneView,
                  refuse: Callable[[str], None]) -> None:
         self._session, self._view, self._refuse = session, view, refuse
         self._grip: _Grip | None = None

@@ -77,6 +77,20 @@ class Mailbox:
             self._notes.extend(Note(time, event) for event in events)
             self._notes.append(Note(time, what))
 
+    def refuse(self, event: Event, why: str) -> None:
+        """Note an event that came when no cell could take it."""
+        with self._lock:
+            self._notes.append(Note(self.latest.time if self.latest is not None else 0.0, event, why))
+
+    def deliver(self, notes: Iterable[Note], forces: Iterable[ForcePoint], latest: Snapshot | None, *, begun: bool) -> None:
+        """Keep what another process tells. begun: the force plot starts anew with these points."""
+        with self._lock:
+            if begun:
+                self._forces.clear()
+            self._notes.extend(notes)
+            self._forces.extend(forces)
+        self.latest = latest
+
     def take_notes(self) -> list[Note]:
         """What happened since the last call."""
         with self._lock:

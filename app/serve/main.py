@@ -26,13 +26,15 @@ from app.serve.mailbox import Mailbox
 from app.serve.obstacles import ObstacleControls
 from app.serve.panel import Panel
 from app.serve.placing import CameraControls
+from app.serve.process import SWITCH, Order, Witness
 from app.serve.publisher import Publisher, Screen
 from app.serve.recordings import RecordingControls
+from app.serve.remote import RemoteCell
 from app.serve.results import ResultsView, read
 from app.serve.scene import SceneView
 from app.serve.seat_box import SeatBox
 from app.serve.selection import Selection
-from app.serve.session import Session
+from app.serve.session import Session, configured
 from app.serve.signals import SignalView
 from app.serve.steering import Steering
 from app.serve.theme import Theme
@@ -40,14 +42,11 @@ from app.serve.tuning import Tuning
 from hrc.cell import scenario as scenarios
 from hrc.cell.eyes import rig
 from hrc.cell.run import Observer
+from hrc.messages import Snapshot
 from hrc.vision.kernels import check_device
 
 OWN = Access()
 RECORDINGS = Path("recordings")
-SWITCH = 0.0005
-"""For how long a thread may keep the interpreter to itself [s]. The cell gives it up some times in each tick of 1 ms, for
-MuJoCo and for each kernel, and would wait ten times as long by default until whoever took it meanwhile gives it back.
-"""
 
 
 class Page:
@@ -56,26 +55,36 @@ class Page:
     @opened_once()
     def __init__(self, scenario: str = "free", access: Access = OWN, *, device: str = "cpu",
                  settings: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), seed: int = 0,
-                 say: Callable[[str], None] = print, observers: Sequence[Observer] = (),
-                 recordings: Path = RECORDINGS, results: Path | None = None) -> None:
+                 say: Callable[[str], None] = print, observers: Sequence[Observer] | None = None,
+                 witness: Callable[[], Witness] | None = None, recordings: Path = RECORDINGS,
+                 results: Path | None = None) -> None:
         """Bind the port and build the page; the cell starts with `start`.
 
-        access: where it is served, and to whom; by default to this machine. observers: see every snapshot.
+        access: where it is served, and to whom; by default to this machine. The cell runs in a process of its own, where the
+        witness sees every snapshot, if one is to be made; with observers it runs in a thread of this one, and they see them.
         recordings: folder for what is recorded, made with the first. results: folder of a campaign, shown on the robot.
         Raises ScenarioError, ConfigError, AssetError or DeviceError for what cannot be run, PageError for an address that
         cannot be served, and HrcError for results that are none.
         """
         check_device(device)
         fields = read(results) if results is not None else []
-        mailbox = Mailbox()
+        self._mailbox = mailbox = Mailbox()
         self.journal = Journal(lambda: mailbox.latest.time if mailbox.latest is not None else 0.0)
-        archive = Archive(recordings, device)
-        self.session = Session(mailbox, device=device, settings=dict(settings), seed=seed, say=say,
-                               observers=(archive, *observers))
-        config = self.session.check(scenario)
+        settings = dict(settings)
+        config = configured(scenario, settings, seed)
         rig(config)
+        if observers is None:
+            order = Order(recordings, device, tuple(settings.items()), seed, witness)
+            self.session = RemoteCell(mailbox, order, say=say)
+            archive = self.session.archive
+        else:
+            archive = Archive(recordings, device)
+            self.session = Session(mailbox, device=device, settings=settings, seed=seed, say=say,
+                                   observers=(archive, *observers))
         self.guard = Guard(access.keys, names=access.names, tls=access.tls, healthy=lambda: self.session.healthy)
         self.server = self.guard.open(access.host, access.port, "Elbowroom")
+        if isinstance(self.session, RemoteCell):
+            self.session.prepare()
         self.url, self.watch_url = access.urls(self.server.get_port())
         self._scenario, self._switched = scenario, sys.getswitchinterval()
         theme = Theme(self.server)
@@ -105,6 +114,11 @@ class Page:
                         Selection(view), self.journal, self.seat_box)
         self._publisher = Publisher(self.server, self.session, mailbox, screen, config)
         self._holes = Holes()
+
+    @property
+    def latest(self) -> Snapshot | None:
+        """What is to be seen now; None until a cell has taken its first step."""
+        return self._mailbox.latest
 
     def start(self) -> None:
         """Publish, and start the cell; returns at once."""

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import viser
 
+from app.serve.driver import Driver
 from app.serve.scene import SceneView
-from app.serve.session import HOME, Session
+from app.serve.session import HOME
 from app.serve.vigil import Vigil
 from hrc.errors import HrcError
 from hrc.events import Event, MoveObstacle, RemoveObstacle, Vector
@@ -33,7 +34,7 @@ SCALE = 0.16
 class ObstacleControls:
     """Gizmos and drags. The checkboxes are made by `add_boxes`, inside the tab they belong to."""
 
-    def __init__(self, server: viser.ViserServer, session: Session, view: SceneView,
+    def __init__(self, server: viser.ViserServer, session: Driver, view: SceneView,
                  refuse: Callable[[str], None]) -> None:
         self._session, self._view, self._refuse = session, view, refuse
         self._server = server

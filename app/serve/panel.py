@@ -8,6 +8,7 @@ import viser
 from app.serve.banner import banner, facts
 from app.serve.commands import Commands
 from app.serve.demo import Demo
+from app.serve.driver import Driver
 from app.serve.inputs import Inputs
 from app.serve.journal import Journal
 from app.serve.obstacles import ObstacleControls
@@ -15,7 +16,6 @@ from app.serve.placing import CameraControls
 from app.serve.recordings import RecordingControls
 from app.serve.results import ResultsView
 from app.serve.scene import VIEWS
-from app.serve.session import Session
 from app.serve.steering import Steering
 from app.serve.theme import Theme
 from app.serve.tuning import Tuning
@@ -45,7 +45,7 @@ class Panel:
     for_all: what every visitor may use, whoever drives. seat: the folder in which each is told who does.
     """
 
-    def __init__(self, server: viser.ViserServer, session: Session, *, scenarios: Sequence[str], scenario: str,
+    def __init__(self, server: viser.ViserServer, session: Driver, *, scenarios: Sequence[str], scenario: str,
                  config: Config, look: Callable[[viser.ClientHandle, str], None],
                  layers: Mapping[str, Callable[[bool], None]], obstacles: ObstacleControls, placing: CameraControls,
                  steering: Steering, tuning: Tuning, demo: Demo, theme: Theme, recordings: RecordingControls, journal: Journal,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from app.serve.session import Session
+from app.serve.driver import Driver
 from hrc.cell.eyes import CameraSetup
 from hrc.errors import EventError, HrcError
 from hrc.events import Event, MoveCamera, Vector
@@ -30,7 +30,7 @@ Place = tuple[Vector, Vector]
 class CameraControls:
     """The gizmos. `add_box` makes the checkbox that shows them, inside the container it belongs to."""
 
-    def __init__(self, server: viser.ViserServer, session: Session, refuse: Callable[[str], None]) -> None:
+    def __init__(self, server: viser.ViserServer, session: Driver, refuse: Callable[[str], None]) -> None:
         self._server, self._session, self._refuse = server, session, refuse
         self._shown = False
         self._gizmos: dict[str, tuple[viser.TransformControlsHandle, viser.TransformControlsHandle]] = {}

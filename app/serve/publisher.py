@@ -14,6 +14,7 @@ import viser
 from app.serve.cameras import CameraView
 from app.serve.demo import Demo
 from app.serve.distances import DistanceView
+from app.serve.driver import Driver
 from app.serve.forces import ForceView
 from app.serve.journal import Journal
 from app.serve.mailbox import Mailbox
@@ -23,7 +24,6 @@ from app.serve.placing import CameraControls
 from app.serve.scene import SceneView
 from app.serve.seat_box import SeatBox
 from app.serve.selection import Selection
-from app.serve.session import Session
 from app.serve.signals import SignalView
 from app.serve.steering import Steering
 from app.serve.tuning import Tuning
@@ -65,7 +65,7 @@ class Screen:
 class Publisher:
     """Publishes until it is closed. config: what the screen shows until the first cell runs."""
 
-    def __init__(self, server: viser.ViserServer, session: Session, mailbox: Mailbox, screen: Screen,
+    def __init__(self, server: viser.ViserServer, session: Driver, mailbox: Mailbox, screen: Screen,
                  config: Config) -> None:
         self._server, self._session, self._mailbox, self._screen = server, session, mailbox, screen
         self._begun: Config | None = None
@@ -100,6 +100,7 @@ class Publisher:
         self._read_notes()
         snapshot = self._mailbox.latest  # after the notes: what they tell of has happened in it
         watched = bool(self._server.get_clients())
+        self._session.watch(watched=watched)
         if beat % PANEL_EVERY == 0:
             self._screen.panel.update(snapshot)
             self._screen.panel.update_log()

@@ -1,6 +1,7 @@
 """Recordings on the page: start and stop, how long and large, and a list from which they are opened, downloaded or deleted."""
 
 import asyncio
+import contextlib
 import threading
 from html import escape
 from typing import Any
@@ -8,11 +9,12 @@ from typing import Any
 import viser
 
 from app.headless import versions
-from app.record.archive import Archive, load
+from app.record.archive import Archive
 from app.review import LOOPBACK, Server, recordings, viewer
 from app.serve import download
+from app.serve.driver import Driver, Phase
 from app.serve.journal import Journal
-from app.serve.session import Phase, Session
+from app.serve.remote import RemoteArchive
 from hrc.errors import HrcError
 
 NONE: str = "-"
@@ -25,7 +27,8 @@ LOAD_AFTER = 8.0
 class RecordingControls:
     """The widgets; `add` makes them inside the container they belong to. local: the page is for this machine alone."""
 
-    def __init__(self, server: viser.ViserServer, session: Session, archive: Archive, journal: Journal, *, local: bool) -> None:
+    def __init__(self, server: viser.ViserServer, session: Driver, archive: Archive | RemoteArchive, journal: Journal, *,
+                 local: bool) -> None:
         self._server, self._session, self.archive, self._journal = server, session, archive, journal
         self._local = local
         self._reviewed: Server | None = None
@@ -56,16 +59,16 @@ class RecordingControls:
     def update(self) -> None:
         """What is being recorded, as it is now."""
         if self._loading is None and self._session.status.phase is Phase.RUNNING:
-            self._loading = threading.Timer(LOAD_AFTER, load)
+            self._loading = threading.Timer(LOAD_AFTER, self._warm)
             self._loading.daemon = True
             self._loading.start()
         now = self.archive.now
         self._start.visible, self._stop.visible = now is None, now is not None
         self._start.disabled = self._stop.disabled = self._busy
         if now is not None:
-            dropped = f", {now.recorder.images_dropped} images dropped" if now.recorder.images_dropped else ""
+            dropped = f", {now.images_dropped} images dropped" if now.images_dropped else ""
             self._note = (f'<b>REC</b> {escape(now.folder.name)}: {_length(now.seconds)}, '
-                          f"{now.recorder.bytes / 1e6:.1f} MB{dropped}")
+                          f"{now.bytes / 1e6:.1f} MB{dropped}")
         problem = f'<div style="color: #e5484d">{escape(self._problem)}</div>' if self._problem else ""
         self._state.content = (f'<div id="eb-recording" class="eb-small" data-recording="{str(now is not None).lower()}">'
                                f"{self._note}{problem}</div>")
@@ -79,6 +82,10 @@ class RecordingControls:
         if self._reviewed is not None:
             self._reviewed.shutdown()
             self._reviewed.server_close()
+
+    def _warm(self) -> None:
+        with contextlib.suppress(HrcError):  # a cell that has gone meanwhile says so elsewhere
+            self.archive.warm()
 
     def _tried(self, act: Any) -> Any:
         async def on_click(event: viser.GuiEvent[Any]) -> None:

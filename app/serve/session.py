@@ -6,10 +6,9 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
+from app.serve.driver import Phase, Status
 from app.serve.mailbox import Mailbox
 from app.serve.stopwatch import TimedCell
 from app.settings import changed
@@ -22,29 +21,10 @@ from hrc.errors import HrcError
 from hrc.events import Event, MoveCamera, MoveObstacle, MoveTarget, Press, Pull, Reset, Resume, Stop
 from hrc.messages import Snapshot
 
-HANGS, BUILDS = 10.0, 120.0
-"""For how long the cell's thread may give no sign of life: while a cell runs, and while one is built [s]."""
 HOME: dict[str, tuple[float, float, float]] = {
     "ball": (-0.35, 0.55, 0.35), "block": (-0.75, -0.55, 0.30), "slab": (-0.25, -0.60, 0.35), "hand": (0.15, 0.55, 0.35),
     "forearm": (0.15, -0.55, 0.35), "figure": (-1.25, 0.35, 0.45)}
 """Where an obstacle is brought in [m]: within reach of the mouse, out of reach of the arm on its path."""
-
-
-class Phase(StrEnum):
-    """Of the session; while it is running, the arm's own mode says more."""
-
-    STARTING = "starting"
-    RUNNING = "running"
-    FAILED = "failed"
-    CLOSED = "closed"
-
-
-@dataclass(frozen=True)
-class Status:
-    """The phase, and a line about it for the banner."""
-
-    phase: Phase
-    text: str = ""
 
 
 class _Shield:
@@ -109,6 +89,11 @@ class PageInbox(Inbox):
         return due
 
 
+def configured(name: str, settings: Mapping[str, Any], seed: int) -> Config:
+    """The config that a scenario runs with, settings over it. Raises ScenarioError or ConfigError."""
+    return changed(scenario.load(name).configured(Config().replace(seed=seed)), settings.items())
+
+
 class Session:
     """A cell that runs in real time in a thread of its own, one scenario after another.
 
@@ -135,10 +120,6 @@ class Session:
         self._welcome: tuple[Event, ...] = ()
         self._cell: TimedCell | None = None
         self._thread = threading.Thread(target=self._loop, name="cell", daemon=True)
-
-    def check(self, name: str) -> Config:
-        """The config that a scenario would run with. Raises ScenarioError or ConfigError."""
-        return changed(scenario.load(name).configured(Config().replace(seed=self._seed)), self._settings.items())
 
     def start(self, name: str) -> None:
         """Begin with a scenario."""
@@ -198,6 +179,9 @@ class Session:
         self.paused = True
         self._pacer.step_once(ticks)
 
+    def watch(self, *, watched: bool) -> None:
+        """Nothing: what is looked at is here anyway."""
+
     @property
     def speed(self) -> float:
         """Simulated seconds per second that are asked for."""
@@ -220,8 +204,7 @@ class Session:
     @property
     def healthy(self) -> bool:
         """Whether the cell's thread has come round lately, paused or not, and its cell has not failed."""
-        patience = {Phase.STARTING: BUILDS, Phase.RUNNING: HANGS}.get(self.status.phase, 0.0)
-        return self.silence < patience
+        return self.status.well(self.silence)
 
     @property
     def silence(self) -> float:
@@ -258,7 +241,7 @@ class Session:
             if self._stop is None:
                 self.status = Status(Phase.STARTING, f'"{name}": {note}')
         self._say(f'starting "{name}": {note} ...')
-        script, config = scenario.load(name), self.check(name)
+        script, config = scenario.load(name), configured(name, self._settings, self._seed)
         cell = self._cell = TimedCell(config, self._device)
         brought = any(isinstance(event, (Press, MoveObstacle)) for _, event in script.events)
         self._welcome = () if brought else (MoveObstacle("ball", HOME["ball"]),)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from app.serve.session import Session
+from app.serve.driver import Driver
 from hrc.config import Config
 from hrc.control.reference import KINDS
 from hrc.errors import HrcError
@@ -38,7 +38,7 @@ HELP = ("What the end effector does. follow: drag the arrows at the tool, and th
 class Steering:
     """The widgets. `add_task` and `add_posture` make them inside the container they belong to."""
 
-    def __init__(self, server: viser.ViserServer, session: Session, refuse: Callable[[str], None]) -> None:
+    def __init__(self, server: viser.ViserServer, session: Driver, refuse: Callable[[str], None]) -> None:
         self._server, self._session, self._refuse = server, session, refuse
         self._q = np.zeros(7)
         self._target = np.zeros(3)

@@ -6,10 +6,10 @@ from typing import Any
 
 import viser
 
+from app.serve.driver import Driver
 from app.serve.guard import Guard
 from app.serve.inputs import Inputs
 from app.serve.journal import Journal
-from app.serve.session import Session
 from app.settings import Found, ordered, sift, written
 from hrc.config import Config
 from hrc.errors import ConfigError, HrcError
@@ -24,7 +24,7 @@ MOST_TROUBLE = 12
 class Tuning:
     """config: the parameters as they are now. start: as this cell began, after scenario and command line."""
 
-    def __init__(self, server: viser.ViserServer, session: Session, config: Config, journal: Journal, guard: Guard) -> None:
+    def __init__(self, server: viser.ViserServer, session: Driver, config: Config, journal: Journal, guard: Guard) -> None:
         self._server, self._session, self._journal, self._guard = server, session, journal, guard
         self.config = self.start = config
 

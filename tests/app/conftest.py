@@ -79,12 +79,12 @@ def short(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def serve() -> Iterator[Callable[[int], subprocess.Popen[bytes]]]:
-    """Starts the page on a port, in a process of its own."""
+def serve() -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
+    """Starts the page on a port, in a process of its own, with more options if need be."""
     started: list[subprocess.Popen[bytes]] = []
 
-    def start(port: int) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "app", "serve", "--port", str(port)]
+    def start(port: int, *options: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "app", "serve", "--port", str(port), *options]
         started.append(subprocess.Popen(command, stdout=subprocess.DEVNULL))
         return started[-1]
 

@@ -19,12 +19,13 @@ from vclient import VClient, until
 from app import health
 from app.record.repair import look
 from app.record.spool import ROWS
-from app.serve import session
+from app.serve import driver
 from app.serve.access import Access
 from app.serve.content import SECURITY_HEADERS
+from app.serve.driver import Phase
 from app.serve.keys import Keys
 from app.serve.main import Page
-from app.serve.session import Phase
+from app.serve.session import Session
 from hrc.messages import Snapshot
 
 
@@ -50,7 +51,7 @@ def asked(port: int, host: str = "127.0.0.1") -> tuple[int, bytes, dict[str, str
 
 @pytest.mark.live
 def test_health_follows_the_cell_and_tells_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session, "HANGS", 1.5)
+    monkeypatch.setattr(driver, "HANGS", 1.5)
     gate = Gate()
     page = Page("free", Access(port=0, keys=Keys("o" * 20, "w" * 20)), say=lambda _: None, observers=(gate,))
     port = page.server.get_port()
@@ -78,6 +79,7 @@ def test_health_follows_the_cell_and_tells_nothing_else(monkeypatch: pytest.Monk
         time.sleep(2.5)
         assert asked(port)[0] == 200, "a cell that is paused is well"
         page.session.paused = False
+        assert isinstance(page.session, Session)
         assert page.session._cell is not None
         monkeypatch.setattr(page.session._cell, "step", None)
         until(lambda: page.session.status.phase is Phase.FAILED)

@@ -9,10 +9,11 @@ from app import palette
 from app.serve import images
 from app.serve.banner import Facts, banner, facts
 from app.serve.distances import lines
+from app.serve.driver import Phase, Status
 from app.serve.journal import Journal
 from app.serve.mailbox import PLOT_POINTS, Mailbox, Note
 from app.serve.pictures import EMPTY, OBSTACLE, Pictures
-from app.serve.session import Phase, Session, Status
+from app.serve.session import Session
 from app.serve.sight import MAX_POINTS, NEAR_BASE, VOXEL, Sight
 from hrc.cell.cell import Cell
 from hrc.config import Config

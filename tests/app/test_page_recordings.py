@@ -19,6 +19,7 @@ from app.replay import exact
 from app.serve import download, recordings
 from app.serve.access import Access
 from app.serve.main import Page
+from app.serve.remote import RemoteArchive
 
 
 def recording(client: VClient) -> bool:
@@ -111,7 +112,8 @@ def test_nothing_is_recorded_while_another_cell_is_built(served: Page, raw: VCli
 @pytest.mark.live
 def test_the_recorder_is_loaded_some_time_after_the_robot_moves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     loaded: list[float] = []
-    monkeypatch.setattr(recordings, "load", lambda: loaded.append(page.session.healthy))
+    warm = RemoteArchive.warm
+    monkeypatch.setattr(RemoteArchive, "warm", lambda archive: (warm(archive), loaded.append(page.session.healthy)))
     monkeypatch.setattr(recordings, "LOAD_AFTER", 0.2)
     page = Page("free", Access(port=0), say=lambda _: None, recordings=tmp_path / "recordings")
     page.start()

@@ -15,9 +15,10 @@ from test_page_explain import upload
 from vclient import VClient, until
 
 from app.serve.access import Access
+from app.serve.driver import Phase
 from app.serve.mailbox import Mailbox
 from app.serve.main import Page
-from app.serve.session import PageInbox, Phase, Session
+from app.serve.session import PageInbox, Session
 from hrc.cell import scenario
 from hrc.events import Event, MoveObstacle, MoveTarget, Pull, Release, Reset, Resume, SetParameter, Stop
 from hrc.messages import Mode, Snapshot
@@ -117,8 +118,8 @@ def test_a_stop_while_the_cell_is_built_finds_the_arm_at_its_first_step() -> Non
 
 @pytest.fixture
 def lone() -> Iterator[Page]:
-    """A page of its own, to be broken."""
-    page = Page("free", Access(port=0), say=lambda _: None)
+    """A page of its own, to be broken, with its cell where a test can reach it."""
+    page = Page("free", Access(port=0), say=lambda _: None, observers=())
     page.start()
     yield page
     page.close()
@@ -135,6 +136,7 @@ def test_an_exception_in_a_running_cell_stops_it_with_the_last_events_in_the_log
     def breaks(event: Event) -> None:
         raise ZeroDivisionError(f"{type(event).__name__} by zero")
 
+    assert isinstance(lone.session, Session)
     monkeypatch.setattr(lone.session._cell, "apply", breaks)
     client.set("Task", "circle")
     until(lambda: client.banner()["mode"] == "failed")

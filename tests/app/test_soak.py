@@ -1,13 +1,14 @@
 """The soak tool: it sees what grows and what goes wrong; a short real run shows that all its parts act."""
 
 import logging
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from app.endurance.health import GROWTH, Health, Sample, Steps, faults, summary
+from app.endurance.health import GROWTH, Counted, Health, Sample, faults, summary
 from app.endurance.soak import Errors, Job, soak
 from hrc.errors import HrcError
 
@@ -60,8 +61,20 @@ def test_visitors_who_do_not_get_what_they_want_are_a_fault_unless_it_is_rare() 
 
 
 def test_threads_are_counted_that_python_does_not_know_of() -> None:
-    health = Health(Steps(), 1000)
-    assert health.take(visitors=0, images=0).threads == len(list(Path("/proc/self/task").iterdir()))
+    health = Health(Counted(1.0, 100), 1000)
+    sample = health.take(Counted(2.0, 1050, 7), visitors=3)
+    assert sample.threads == len(list(Path("/proc/self/task").iterdir()))
+    assert (sample.factor, sample.images, sample.visitors) == (0.95, 7, 3)
+    assert sample.lost == pytest.approx(0.05)
+
+
+def test_the_cells_process_counts_too() -> None:
+    with subprocess.Popen(["sleep", "60"]) as other:
+        own, both = (Health(Counted(1.0, 0), 1000, pid).take(Counted(2.0, 0), visitors=0) for pid in (None, other.pid))
+        other.kill()
+    assert both.threads == own.threads + 1
+    assert both.descriptors >= own.descriptors + 3
+    assert both.memory > own.memory
 
 
 def test_tracebacks_and_logged_errors_are_collected(capsys: pytest.CaptureFixture[str]) -> None:

@@ -70,7 +70,7 @@ def test_a_force_is_applied_in_the_step_that_notes_it() -> None:
     snapshot = cell.step()
     felt.on_step(snapshot)
     assert snapshot.pull is not None
-    assert before < felt.applied[pull.target] < time.monotonic()
+    assert before < felt.told().applied[pull.target] <= felt.told().at <= time.monotonic()
 
 
 def test_cpu_time_goes_to_the_thread_that_spends_it() -> None:
