@@ -25,6 +25,9 @@ SAME_PLACE = 0.1
 MOST_TOUCHES = 4
 FROZEN = 0.01
 """A camera that repeats its image while a link has moved by this is frozen [m]."""
+MONITOR_EVERY = 2
+"""In every so-many-th localization the distances of all links out to the monitored range are measured, too: nothing that needs
+them is in a hurry, and with somebody near they take half of its time."""
 APART = 7919
 """Between the seeds of two cameras, so that their noise differs."""
 
@@ -141,7 +144,8 @@ class Eye:
         self._stands: Array | None = None  # where the camera was moved to; None: as configured
         self._frame: DepthFrame | None = None
         self._first = np.zeros((8, 4, 4))  # where the robot was when the present image was new
-        self._arrived = self._heard = 0
+        self._arrived = self._heard = self._looks = 0
+        self._clearances: tuple[Clearance, ...] = ()
         self._look_from(None)
         self._localizer.reset()
         self.configure(setup, config)
@@ -203,7 +207,11 @@ class Eye:
     def localize(self, tick: int, T_world_link: Array) -> Sighting:
         """What this camera sees, the robot being at T_world_link (8, 4, 4) now."""
         eye = self._localizer
-        return Sighting(eye.localize(tick, T_world_link), eye.touches(), eye.clearances())
+        nearest, touches = eye.localize(tick, T_world_link), eye.touches()
+        if self._looks % MONITOR_EVERY == 0:
+            self._clearances = eye.clearances()
+        self._looks += 1
+        return Sighting(nearest, touches, self._clearances)
 
     def silent(self, tick: int) -> bool:
         """Whether the newest frame is too old to say anything about now."""

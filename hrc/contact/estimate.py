@@ -34,6 +34,9 @@ class TrackerConfig(Parameters):
     """Time constant with which the place moves over its link: vision may jump from side to side of an obstacle."""
     switch: float = param(0.15, low=0.0, high=5.0, unit="s")
     """The contact moves to another link only when that one has been the likeliest for this long."""
+    every: int = param(2, low=1, high=40)
+    """A place is looked for in every so-many-th control cycle: the evidence is averaged over ten anyway, and nothing else that
+    a contact takes costs as much."""
     felt_after: float = param(0.06, low=0.0, high=1.0, unit="s")
     """A place where no camera sees an obstacle is taken when the contact was felt for this long."""
     felt_radius: float = param(0.2, low=0.0, high=1.0, unit="m")
@@ -72,6 +75,8 @@ class ContactTracker:
         """Of two contacts: why the joints alone do not tell the one force from the other."""
         self._point: _Point | None = None
         self._guess: Guess | None = None
+        self._newest: Guess | None = None
+        self._kept = 0  # for so many control cycles
         self._felt = self._lost = self._other = 0.0
 
     def update(self, r: Array, detector: Detector, seen: Sequence[Nearest], terms: Terms, *, keep: bool,
@@ -85,8 +90,7 @@ class ContactTracker:
         if not detector.detected:
             self.reset()
             return None
-        near = [n for n in seen if n.distance <= self.config.reach]
-        guess = self.localizer.update(r, terms, self._dt, near)
+        guess = self._guessed(r, terms, seen)
         self._felt += self._dt
         self._follow(guess if guess is not None and self._trusted(guess) else None, keep=keep)
         pair = self.finder.update(r, touches, terms, self.force, self.localizer.config)
@@ -95,6 +99,14 @@ class ContactTracker:
         else:
             self.contacts, self.doubt = self._single(r, terms, detector.margin), Doubt.NONE
         return self.contacts[0] if self.contacts else None
+
+    def _guessed(self, r: Array, terms: Terms, seen: Sequence[Nearest]) -> Guess | None:
+        """Where the contact is by residual and vision; not looked for anew while the newest guess is young enough."""
+        if self._newest is None or self._kept >= self.config.every:
+            near = [n for n in seen if n.distance <= self.config.reach]
+            self._newest, self._kept = self.localizer.update(r, terms, self.config.every * self._dt, near), 0
+        self._kept += 1
+        return self._newest
 
     def _single(self, r: Array, terms: Terms, margin: float) -> tuple[Contact, ...]:
         if self._point is None or self._guess is None:

@@ -29,6 +29,8 @@ class FrictionConfig(Parameters):
 
 def friction(config: FrictionConfig, dq: Array) -> Array:
     """Friction and offset [N m], shape (..., 7), at joint velocity dq [rad/s] (..., 7)."""
+    if config.a == config.k == NONE:  # nothing is known of it: asked at every control cycle
+        return np.zeros(np.shape(dq))
     return np.asarray(config.k) + np.asarray(config.a) * turned(dq, np.asarray(config.alpha), np.asarray(config.v))
 
 

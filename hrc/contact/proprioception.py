@@ -238,8 +238,9 @@ class ResidualLocalizer:
         heavy = np.flatnonzero(on_link > NEGLIGIBLE * on_link.max())
         heavy = first + heavy[np.argsort(-on_link[heavy], kind="stable")[:HEAVIEST]]
         # The weighted mean may lie inside the arm, between two sides of it; the sample with the least mean distance does not.
-        apart = s.p[heavy, None] - s.p[heavy]
-        apart = np.sqrt((apart * apart).sum(axis=2))
+        p = s.p[heavy]
+        size2, dots = (p * p).sum(axis=1), p @ p.T
+        apart = np.sqrt(np.maximum(size2[:, None] + size2 - 2.0 * dots, 0.0))
         k = int(heavy[np.argmin(apart @ w[heavy])])
         p_world = places[k].copy()
         likely = np.flatnonzero(w > NOTHING)

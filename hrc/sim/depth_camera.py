@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hrc import meshes
 from hrc.errors import SensorError, unknown
-from hrc.geometry import Array, apply, rotation_about, transform
+from hrc.geometry import Array, rotation_about, transform
 from hrc.messages import LINKS, Body, DepthFrame
 from hrc.parameters import Parameters, param
 from hrc.scene import BodySpec
@@ -144,12 +144,12 @@ class DepthCamera:
 
     def sees(self, p_world: ArrayLike) -> bool:
         """Whether the surface in the last noise-free render, at that point's pixel, is within 2 cm of it in depth."""
-        u, v, z = self.true_camera.project(apply(self.true_camera.T_camera_world, p_world))
+        u, v, z = self.true_camera.pixel(np.asarray(p_world, np.float64))
         rows, columns = self.true_camera.shape
         if self._count == 0 or not (z > 0 and -0.5 <= u < columns - 0.5 and -0.5 <= v < rows - 0.5):
             return False
-        key = kernels.to_image(kernels.read(self._raster.keys), self._raster.grid)[round(float(v)), round(float(u))]
-        return bool(key) and abs(kernels.key_depth(key) - float(z)) <= SEEN
+        key = kernels.to_image(kernels.read(self._raster.keys), self._raster.grid)[round(v), round(u)]
+        return bool(key) and abs(kernels.key_depth(key) - z) <= SEEN
 
 
 def _background(camera: Camera, environment: Sequence[FixedBox]) -> NDArray[np.uint32]:

@@ -1,5 +1,6 @@
 """A hand at a point of the robot: the mouse's spring, or a given force, and the hand that the camera sees."""
 
+import math
 from dataclasses import dataclass
 
 import mujoco
@@ -41,6 +42,7 @@ class Grip:
         self._model, self._data, self._links = model, data, links
         self._event: Pull | Push | None = None
         self._normal = np.array([0.0, 0.0, 1.0])
+        self._point = self._wanted = np.zeros(3)  # of the event, as arrays
         self.force = np.zeros(3)
         self._J = np.zeros((3, model.nv))
 
@@ -60,12 +62,12 @@ class Grip:
         if self._event is None:
             return np.full(3, np.nan)
         body = self._links[self._event.link]
-        return self._data.xpos[body] + self._data.xmat[body].reshape(3, 3) @ np.asarray(self._event.point)
+        return self._data.xpos[body] + self._data.xmat[body].reshape(3, 3) @ self._point
 
     @property
     def pull(self) -> tuple[Array, Array] | None:
         """The held point and where it is pulled to [m], while it is a Pull."""
-        return (self.p_world, np.asarray(self._event.target)) if isinstance(self._event, Pull) else None
+        return (self.p_world, self._wanted) if isinstance(self._event, Pull) else None
 
     def apply(self, event: Event) -> None:
         """Take a Pull, Push or Release."""
@@ -75,7 +77,8 @@ class Grip:
             held = self._event
             if held is None or (held.link, held.point) != (event.link, event.point):
                 self._normal = outward(event.link, np.asarray(event.point))
-            self._event = event
+            self._event, self._point = event, np.array(event.point)
+            self._wanted = np.array(event.target if isinstance(event, Pull) else event.force)
 
     def torque(self) -> Array:
         """Joint torque of the force in the coming tick [N m] (7,); `force` [N] (3,) is that force, on the robot."""
@@ -87,11 +90,11 @@ class Grip:
         J = self._J
         mujoco.mj_jac(self._model, self._data, J, None, p, body)
         if isinstance(event, Push):
-            self.force = np.asarray(event.force)
+            self.force = self._wanted
         else:
             velocity = J @ self._data.qvel
-            pull = self.config.stiffness * (np.asarray(event.target) - p) - self.config.damping * velocity
-            self.force = pull * min(1.0, self.config.cap / max(float(np.linalg.norm(pull)), 1e-9))
+            pull = self.config.stiffness * (self._wanted - p) - self.config.damping * velocity
+            self.force = pull * min(1.0, self.config.cap / max(math.sqrt(pull @ pull), 1e-9))
         return J[:, :7].T @ self.force
 
     def hand(self) -> Body:

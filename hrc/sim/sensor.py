@@ -13,11 +13,12 @@ A = np.array([1.367179, 0.593299, 0.594340, 0.641189, 0.488523, 0.694147, 0.7008
 K = np.array([-0.456166, -0.056350, -0.366618, -0.103054, -0.118344, -0.469191, -0.791974])  # [N m]
 V = np.array([-0.015673, 0.024814, -0.046247, -0.011594, 0.000368, 0.037110, 0.054060])  # [rad/s]
 ALPHA = np.array([195.792631, 52.849323, 16.397959, 390.429474, 34.761397, 25.702041, 24.441356])  # [s/rad]
+_STEEP = -ALPHA
 
 
 def friction(dq: Array) -> Array:
     """Friction and offset in the sensor's signal at joint velocity dq [rad/s] (7,); [N m] (7,)."""
-    return K + A / (1.0 + np.exp(np.minimum(np.maximum(-ALPHA * (dq + V), -50.0), 50.0)))
+    return K + A / (1.0 + np.exp(np.minimum(_STEEP * (dq + V), 50.0)))  # exp must not overflow
 
 
 class TorqueSensor:

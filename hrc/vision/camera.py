@@ -1,5 +1,6 @@
 """The pinhole depth camera: where it stands, and the two directions of Eq. (8) and (9)."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,6 +64,12 @@ class Camera:
         x, y, z = np.moveaxis(np.asarray(p_camera, np.float64), -1, 0)
         c = self.config
         return c.fx * x / z + c.cx, c.fy * y / z + c.cy, z
+
+    def pixel(self, p_world: Array) -> tuple[float, float, float]:
+        """Pixel coordinates u, v [px] and depth [m] of one point (3,) [m] in the world; no number where it is not in front."""
+        x, y, z = (self.T_camera_world[:3, :3] @ p_world + self.T_camera_world[:3, 3]).tolist()
+        c = self.config
+        return (c.fx * x / z + c.cx, c.fy * y / z + c.cy, z) if z > 0.0 else (math.nan, math.nan, z)
 
     def unproject(self, u: ArrayLike, v: ArrayLike, depth: ArrayLike) -> Array:
         """The point (..., 3) [m] in the camera frame behind pixel (u, v) at a depth [m]: the inverse used in Eq. (9)."""

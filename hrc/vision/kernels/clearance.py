@@ -8,7 +8,6 @@ the bound, so the result is the least in the order of (distance, robot pixel, ob
 
 from typing import Any, NamedTuple
 
-import numpy as np
 import warp as wp
 
 from hrc.vision.kernels.boxes import (
@@ -28,7 +27,7 @@ from hrc.vision.kernels.boxes import (
 )
 from hrc.vision.kernels.distance import NONE
 from hrc.vision.kernels.filtering import Filter
-from hrc.vision.kernels.runtime import everywhere, read, zeros
+from hrc.vision.kernels.runtime import Mirror, everywhere, zeros
 from hrc.vision.kernels.types import (
     FAR,
     ID,
@@ -263,7 +262,7 @@ class Clearances:
         self._counts = zeros(2, wp.int32, device)
         self._bound, self._best = (zeros(LINK_COUNT, wp.uint64, device) for _ in range(2))
         self._seed = zeros((ROUNDS + 1) * LINK_COUNT, wp.uint64, device)
-        self._result = zeros(6 * LINK_COUNT, wp.float64, device)
+        self._result = Mirror(6 * LINK_COUNT, wp.float64, device)
 
     def launch(self) -> None:
         """Queue the search."""
@@ -289,10 +288,10 @@ class Clearances:
             self._counts, self._bound, self._limits, self._points, self._best])
         wp.launch(witness, dim=LINK_COUNT * lanes, device=device, inputs=[
             *scene, lanes, ROUNDS, self._obstacles, self._counts, self._best, self._seed])
-        wp.launch(report_clearance, dim=LINK_COUNT, device=device, inputs=[*scene, self._best, self._seed, self._result])
+        wp.launch(report_clearance, dim=LINK_COUNT, device=device, inputs=[*scene, self._best, self._seed, self._result.buffer])
 
     def result(self) -> list[Witnesses]:
         """One for each link with an obstacle in range, by link."""
-        rows = np.asarray(read(self._result)).reshape(LINK_COUNT, 6)
-        return [Witnesses(link, (int(r[0]), int(r[1]), float(r[2])), (int(r[3]), int(r[4]), float(r[5])))
-                for link, r in enumerate(rows) if r[0] >= 0]
+        rows = self._result.read().reshape(LINK_COUNT, 6).tolist()
+        return [Witnesses(link, (int(u), int(v), depth), (int(u_o), int(v_o), depth_o))
+                for link, (u, v, depth, u_o, v_o, depth_o) in enumerate(rows) if u >= 0]
