@@ -22,13 +22,15 @@ from app.serve.wire import Answer, Call, CutError, Link, Over, Pulse, Said, Stat
 from hrc.cell.run import Observer
 from hrc.config import Config
 from hrc.errors import HrcError
-from hrc.events import Event
+from hrc.events import Event, Release
 from hrc.messages import Snapshot
 
 PULSE = 1.0 / 30.0
 """Between two pulses [s]."""
 IMAGES = 1.0 / 15.0
 """Between two that have images [s], which is as often as the page draws points."""
+SIGN, SILENT = 0.5, 2.0
+"""How often the page gives a sign of life, and without one for how long the arm is let go [s]."""
 SWITCH = 0.0005
 """For how long a thread may keep the interpreter to itself [s]. The cell gives it up some times in each tick of 1 ms, for
 MuJoCo and for each kernel, and would wait ten times as long by default until whoever took it meanwhile gives it back.
@@ -57,9 +59,10 @@ def main(connection: Link, order: Order) -> None:
     signal.signal(signal.SIGTERM, lambda number, _: told.append(number))
     sys.setswitchinterval(SWITCH)
     host = Host(Wire(connection), order)
+    threading.excepthook = host.broken
     host.start()
     while not told and not host.over.wait(0.1):
-        pass
+        host.mind_the_page()
     host.close()
 
 
@@ -76,12 +79,12 @@ class Host:
         self._session = Session(self._mailbox, device=order.device, settings=dict(order.settings), seed=order.seed,
                                 say=lambda line: self._tell(Said(line)), observers=watchers)
         self._begun, self._heard, self._watched = False, 0, False
+        self._heard_at = time.monotonic()
         self._config: Config | None = None
         self._sent: Snapshot | None = None
         self._plotted: ForcePoint | None = None
         self._images_at, self._whole = 0.0, False
         self._holes = Holes()
-        threading.excepthook = self._broken
 
     def start(self) -> None:
         """Listen, and tell."""
@@ -89,11 +92,24 @@ class Host:
         for act, name in ((self._listen, "calls"), (self._beat, "pulses")):
             threading.Thread(target=act, name=name, daemon=True).start()
 
+    def mind_the_page(self) -> None:
+        """Let go of the arm when the page stands still: nobody there can."""
+        latest = self._mailbox.latest
+        if latest is not None and latest.pull is not None and time.monotonic() - self._heard_at > SILENT:
+            self._put(Release())
+
     def close(self) -> None:
         """Stop the cell, then finish its recording."""
         self.over.set()
         self._session.close()
         self._archive.close()
+        self._holes.close()
+
+    def broken(self, failure: "threading.ExceptHookArgs") -> None:
+        """A thread has failed: told at the terminal and to the page."""
+        traceback.print_exception(failure.exc_type, failure.exc_value, failure.exc_traceback, file=sys.stderr)
+        name = failure.thread.name if failure.thread is not None else "?"
+        self._tell(Said(f'thread "{name}" of the cell failed ({failure.exc_type.__name__}: {failure.exc_value})'))
 
     # -- what the page wants ----------------------------------------------------------------------------------------
 
@@ -105,6 +121,7 @@ class Host:
         try:
             while True:
                 call: Call = self._wire.receive()
+                self._heard_at = time.monotonic()
                 if call.answer:  # it may take a second, and a Stop after it must not wait
                     threading.Thread(target=self._answer, args=(call, acts[call.what]), name=call.what, daemon=True).start()
                 else:
@@ -203,8 +220,3 @@ class Host:
             self._wire.send(message)
         except CutError:
             self.over.set()
-
-    def _broken(self, failure: "threading.ExceptHookArgs") -> None:
-        traceback.print_exception(failure.exc_type, failure.exc_value, failure.exc_traceback, file=sys.stderr)
-        name = failure.thread.name if failure.thread is not None else "?"
-        self._tell(Said(f'thread "{name}" of the cell failed ({failure.exc_type.__name__}: {failure.exc_value})'))

@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import multiprocessing
+import queue
 import sys
 import threading
 import time
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from app.record.shelf import ArchiveError, Progress, Shelf
 from app.serve.driver import Phase, Status
 from app.serve.mailbox import Mailbox
-from app.serve.process import Order, main
+from app.serve.process import SIGN, Order, main
 from app.serve.wire import Answer, Call, CutError, Over, Pulse, Said, State, Wire, with_images
 from hrc.config import Config
 from hrc.errors import HrcError
@@ -25,8 +26,8 @@ from hrc.events import Event, Stop
 if TYPE_CHECKING:
     from app.record.recorder import Depth
 
-FAREWELL = 60.0
-"""For how long the process may take to finish a recording [s]; then it is killed."""
+FAREWELL, BRIEF = 60.0, 5.0
+"""For how long the process may take to end [s], with a recording to finish and without; then it is killed."""
 PATIENCE = 300.0
 """For how long an answer may take [s]: the end of a long recording does."""
 NOTHING = State(Status(Phase.STARTING, "starting"), paused=False, speed=1.0, factor=0.0, capped=False, silence=0.0, stages={})
@@ -48,24 +49,27 @@ class RemoteCell:
         self._asked: dict[int, _Question] = {}
         self._state, self._at = NOTHING, time.monotonic()
         self._since = 0  # a pulse tells nothing of the state until this call has been heard
-        self._wire: Wire | None = None
+        self._outbox: queue.SimpleQueue[Call | None] | None = None
         self._process: BaseProcess | None = None
         self._closing = self._watched = False
+        self._next = 0.0
 
     # -- what the page wants ----------------------------------------------------------------------------------------
 
     def prepare(self) -> None:
         """Start the process, if there is none, so that it loads while the page is built."""
         with self._lock:
-            if self._wire is not None or self._closing:
+            if self._process is not None or self._closing:
                 return
             here, there = multiprocessing.Pipe()
             context = multiprocessing.get_context("spawn")
             process = context.Process(target=main, args=(there, self._order), name="cell", daemon=True)
             process.start()
             there.close()
-            self._process, self._wire, self._watched = process, Wire(here), False
-            threading.Thread(target=self._read, args=(self._wire, process), name="news", daemon=True).start()
+            self._process, self._outbox = process, queue.SimpleQueue()
+            wire = Wire(here)
+            for act, *means in ((self._read, wire, process), (self._write, wire, self._outbox)):
+                threading.Thread(target=act, args=means, name="cell's wire", daemon=True).start()
             if self.speed != 1.0:
                 self._tell("speed", self.speed)
 
@@ -87,7 +91,7 @@ class RemoteCell:
             self._closing, process = True, self._process
             self._tell("leave")
         if process is not None:
-            process.join(FAREWELL)
+            process.join(BRIEF if self.archive.now is None else FAREWELL)
             if process.is_alive():
                 process.kill()
                 process.join()
@@ -144,16 +148,18 @@ class RemoteCell:
             self._become(speed=speed)
 
     def watch(self, *, watched: bool) -> None:
-        """Whether anybody looks: images are sent then only."""
-        if watched != self._watched:
+        """Whether anybody looks: images are sent then only. To be told again and again, or the cell takes the page for gone."""
+        if watched != self._watched or time.monotonic() >= self._next:
             with self._lock:
-                self._watched = watched
+                self._watched, self._next = watched, time.monotonic() + SIGN
                 self._send(Call(next(self._numbers), "watched", (watched,)))
 
     def call(self, what: str, *arguments: Any) -> Any:
         """Have something done there, and wait for what comes of it. Raises what it raises, or HrcError if nobody answers."""
         question = _Question()
         with self._lock:
+            if self._outbox is None:
+                raise HrcError(f"the cell is gone ({self.status.text})")
             number = next(self._numbers)
             self._asked[number] = question
             self._send(Call(number, what, arguments, answer=True))
@@ -215,11 +221,15 @@ class RemoteCell:
         self._send(Call(self._since, what, arguments))
 
     def _send(self, call: Call) -> None:
-        try:
-            if self._wire is not None:
-                self._wire.send(call)
-        except CutError:  # whoever reads finds out, too, and says so
-            pass
+        """Post it: a process that takes nothing keeps nobody waiting here."""
+        if self._outbox is not None:
+            self._outbox.put(call)
+
+    @staticmethod
+    def _write(wire: Wire, outbox: "queue.SimpleQueue[Call | None]") -> None:
+        with contextlib.suppress(CutError):  # whoever reads finds out, too, and says so
+            while (call := outbox.get()) is not None:
+                wire.send(call)
 
     def _read(self, wire: Wire, process: BaseProcess) -> None:
         with contextlib.suppress(CutError):
@@ -267,8 +277,10 @@ class RemoteCell:
         why = f"its process has ended, exit code {process.exitcode}"
         with self._lock:
             asked, self._asked = list(self._asked.values()), {}
+            if self._outbox is not None:
+                self._outbox.put(None)
             if not self._closing:
-                self._wire = self._process = self.archive.now = None
+                self._outbox = self._process = self.archive.now = None
                 self._mailbox.fail((), f"the cell failed ({why})")
                 self._become(status=Status(Phase.FAILED, f"{why}. Reset or choose a scenario."))
                 self._say(f"the cell failed ({why}); the page lives on")

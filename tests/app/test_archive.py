@@ -16,9 +16,11 @@ pytest.importorskip("rerun")
 from test_record import column
 
 from app.record import archive as module
-from app.record.archive import Archive, ArchiveError
+from app.record import shelf
+from app.record.archive import Archive
 from app.record.folder import read
 from app.record.recorder import Recorder
+from app.record.shelf import ArchiveError
 from app.replay import exact
 from hrc.cell import pace
 from hrc.cell.cell import Cell
@@ -135,7 +137,7 @@ def test_it_is_packed_whole_and_deleted(archive, monkeypatch):
         assert packed.testzip() is None
         assert {f"{name}/{file}" for file in ("session.rrd", "signals.parquet", "config.json", "events.jsonl",
                                               "metrics.json")} == set(packed.namelist())
-    monkeypatch.setattr(module, "MOST_BYTES", 1000)
+    monkeypatch.setattr(shelf, "MOST_BYTES", 1000)
     with pytest.raises(ArchiveError, match="on the server"):
         archive.packed(name)
     archive.delete(name)

@@ -20,12 +20,13 @@ from app.serve import driver
 from app.serve.access import Access
 from app.serve.driver import Phase
 from app.serve.main import Page
+from app.serve.process import SILENT, Host, Order
 from app.serve.remote import RemoteCell
-from app.serve.wire import CutError, Wire, slim, with_images
+from app.serve.wire import Call, CutError, Pulse, Wire, slim, with_images
 from hrc.cell.cell import Cell
 from hrc.config import Config
 from hrc.errors import HrcError
-from hrc.events import Stop
+from hrc.events import Pull, Stop
 from hrc.messages import Mode, Snapshot
 
 
@@ -172,6 +173,36 @@ def test_a_page_that_is_killed_leaves_no_cell_and_a_whole_recording(
     (folder,) = (tmp_path / "recordings").iterdir()
     assert not look(folder / "session.rrd").torn
     assert (folder / "metrics.json").is_file()
+
+
+@pytest.mark.live
+def test_the_arm_is_let_go_when_the_page_stands_still(ends: tuple[Wire, Wire], tmp_path: Path) -> None:
+    """The cell's side alone, and a page that gives no sign of life in mid-drag."""
+    here, there = ends
+    host = Host(there, Order(tmp_path))
+    host.start()
+    here.send(Call(1, "open", ("free",)))
+    pulled, let_go = Pull(4, (0.0, 0.0, 0.0), (-0.3, 0.5, 0.6)), 0.0
+
+    def next_snapshot() -> Snapshot:
+        while not isinstance(pulse := here.receive(), Pulse) or pulse.snapshot is None:
+            pass
+        return pulse.snapshot
+
+    while next_snapshot().time < 0.3:
+        pass
+    here.send(Call(2, "put", (pulled,)))
+    while next_snapshot().pull is None:
+        pass
+    begin = time.monotonic()
+    while time.monotonic() < begin + SILENT - 0.5:
+        assert next_snapshot().pull is not None
+        host.mind_the_page()
+    while next_snapshot().pull is not None and let_go < SILENT + 1.0:
+        let_go = time.monotonic() - begin
+        host.mind_the_page()
+    assert SILENT - 0.5 < let_go < SILENT + 1.0
+    host.close()
 
 
 def children(process: int) -> list[int]:
