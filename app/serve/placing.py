@@ -76,7 +76,7 @@ class CameraControls:
             return
         if not refused and event.name in self._has:
             self._has[event.name] = event.eye, event.target
-        if event is self._asked.get(event.name):
+        if event == self._asked.get(event.name):
             del self._asked[event.name]
 
     def update(self) -> None:

@@ -106,7 +106,7 @@ class Steering:
 
     def heard(self, event: Event) -> None:
         """The cell has taken an event, or refused it."""
-        if event is self._asked:
+        if event == self._asked:
             self._asked = None
 
     def update(self, snapshot: Snapshot) -> None:
