@@ -3,6 +3,7 @@
 import contextlib
 import socket
 import urllib.request
+from pathlib import Path
 
 
 def free_port() -> int:
@@ -14,3 +15,9 @@ def answers(port: int) -> bool:
     with contextlib.suppress(OSError), urllib.request.urlopen(f"http://127.0.0.1:{port}/app/favicon.svg", timeout=5.0) as reply:
         return reply.status == 200
     return False
+
+
+def children(process: int) -> list[int]:
+    """The processes that a process has started, and that have not ended."""
+    tasks = Path(f"/proc/{process}/task").iterdir()
+    return [int(child) for task in tasks for child in (task / "children").read_text().split()]

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import shutil
 import signal
 import socket
@@ -15,6 +16,7 @@ import pytest
 
 pytest.importorskip("rerun")
 
+from process import children
 from test_repair import recorder_of
 from vclient import VClient, until
 
@@ -59,7 +61,8 @@ def test_a_page_that_is_killed_leaves_a_session_that_runs_again(tmp_path, capsys
                 mend(folder, print)
             last = float(client.banner()["time"])
         finally:
-            process.send_signal(signal.SIGKILL)
+            for number in (*children(process.pid), process.pid):  # the cell's, which records, at the same time
+                os.kill(number, signal.SIGKILL)
     with pytest.raises(SystemExit) as exit_:
         main(["replay", str(folder), "--exact"])
     told = capsys.readouterr()

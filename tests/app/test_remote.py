@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from process import answers, free_port
+from process import answers, children, free_port
 from vclient import VClient, until
 
 from app.record.repair import look
@@ -72,7 +72,8 @@ def test_a_cell_whose_process_is_killed_fails_and_is_made_anew(lone: tuple[Page,
     assert before is not None
     cell.speed = 0.5
     client.click("Record")
-    until(lambda: 'data-recording="true"' in client.text())
+    archive = page.recordings.archive
+    until(lambda: archive.now is not None and archive.now.seconds > 1.0)
     os.kill(before, signal.SIGKILL)
     until(lambda: client.banner()["mode"] == "failed")
     assert "exit code -9. Reset or choose a scenario." in client.text()
@@ -86,8 +87,8 @@ def test_a_cell_whose_process_is_killed_fails_and_is_made_anew(lone: tuple[Page,
     assert cell.pid not in (None, before)
     assert page.session.healthy
     until(lambda: 0.4 < cell.factor < 0.6)  # as fast as was asked for
-    (name,) = page.recordings.archive.names()
-    assert page.recordings.archive.mend(name), "what a killed process left of the recording is put in order"
+    (name,) = archive.names()
+    assert archive.mend(name), "what a killed process left of the recording is put in order"
     client.close()
 
 
@@ -204,10 +205,6 @@ def test_the_arm_is_let_go_when_the_page_stands_still(ends: tuple[Wire, Wire], t
     assert SILENT - 0.5 < let_go < SILENT + 1.0
     host.close()
 
-
-def children(process: int) -> list[int]:
-    """The processes that a process has started."""
-    return [int(child) for task in Path(f"/proc/{process}/task").iterdir() for child in (task / "children").read_text().split()]
 
 
 @pytest.fixture
