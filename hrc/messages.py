@@ -61,10 +61,14 @@ class RobotState:
     tau: Array
 
     def __post_init__(self) -> None:
+        try:
+            q, dq, tau = frozen((self.q, self.dq, self.tau), (3, 7))  # at once: one comes with every tick
+        except (SensorError, ValueError):  # which of them it is
+            q, dq, tau = frozen(self.q, (7,), "q"), frozen(self.dq, (7,), "dq"), frozen(self.tau, (7,), "tau")
         keep = object.__setattr__
-        keep(self, "q", frozen(self.q, (7,), "q"))
-        keep(self, "dq", frozen(self.dq, (7,), "dq"))
-        keep(self, "tau", frozen(self.tau, (7,), "tau"))
+        keep(self, "q", q)
+        keep(self, "dq", dq)
+        keep(self, "tau", tau)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

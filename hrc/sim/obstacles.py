@@ -173,6 +173,8 @@ class Obstacles:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, specs: tuple[BodySpec, ...],
                  config: ObstacleConfig) -> None:
         self._model, self._data, self.config = model, data, config
+        # Views of the whole, which stay where they are: to make one anew takes as long as what is done with it.
+        self._qpos, self._qvel, self._applied = data.qpos, data.qvel, data.qfrc_applied
         self._all = {s.name: _Obstacle(s, i) for i, s in enumerate(specs)}
         for obstacle in self._all.values():
             self._park(obstacle)
@@ -208,9 +210,9 @@ class Obstacles:
                 self._park(obstacle)
                 continue
             damping, dofs = 2.0 * ZETA * math.sqrt(drive.stiffness * obstacle.spec.mass), self._dofs(obstacle)
-            velocity = self._data.qvel[dofs]
+            velocity = self._qvel[dofs]
             pull = drive.stiffness * (drive.position - position) + damping * (drive.velocity - velocity)
-            self._data.qfrc_applied[dofs] = pull * min(1.0, drive.cap / max(math.sqrt(pull @ pull), 1e-9))
+            self._applied[dofs] = pull * min(1.0, drive.cap / max(math.sqrt(pull @ pull), 1e-9))
 
     def bodies(self) -> tuple[Body, ...]:
         """Where they are now."""
@@ -230,12 +232,12 @@ class Obstacles:
 
     def _appear(self, obstacle: _Obstacle, position: Array, R: Array) -> None:
         """Put the body at this pose at once; EventError, with nothing changed, if the robot is in the way."""
-        before = self._data.qpos[self._dofs(obstacle)].copy(), self._data.qvel[self._dofs(obstacle)].copy(), obstacle.R
+        before = self._qpos[self._dofs(obstacle)].copy(), self._qvel[self._dofs(obstacle)].copy(), obstacle.R
         self._put(obstacle, position)
         self._orient(obstacle, R)
         gap = self._room(obstacle)
         if gap < ROOM:
-            self._data.qpos[self._dofs(obstacle)], self._data.qvel[self._dofs(obstacle)] = before[:2]
+            self._qpos[self._dofs(obstacle)], self._qvel[self._dofs(obstacle)] = before[:2]
             self._orient(obstacle, before[2])
             raise EventError(f'no room for "{obstacle.spec.name}" there: {max(gap, 0) * 1e3:.0f} mm from the robot, '
                              f"at least {ROOM * 1e3:.0f} mm are needed")
@@ -270,7 +272,7 @@ class Obstacles:
     def _park(self, obstacle: _Obstacle) -> None:
         obstacle.present, obstacle.mover, obstacle.turn = False, None, None
         self._put(obstacle, parked(obstacle.index))
-        self._data.qfrc_applied[self._dofs(obstacle)] = 0.0
+        self._applied[self._dofs(obstacle)] = 0.0
         obstacle.away = self._body(obstacle)
 
     def _body(self, obstacle: _Obstacle) -> Body:
@@ -278,11 +280,11 @@ class Obstacles:
         return Body(spec.name, spec.shape, spec.size, transform(obstacle.R, self._position(obstacle)), obstacle.present)
 
     def _put(self, obstacle: _Obstacle, position: Array) -> None:
-        self._data.qpos[self._dofs(obstacle)] = position
-        self._data.qvel[self._dofs(obstacle)] = 0.0
+        self._qpos[self._dofs(obstacle)] = position
+        self._qvel[self._dofs(obstacle)] = 0.0
 
     def _position(self, obstacle: _Obstacle) -> Array:
-        return self._data.qpos[self._dofs(obstacle)].copy()
+        return self._qpos[self._dofs(obstacle)].copy()
 
     @staticmethod
     def _dofs(obstacle: _Obstacle) -> slice:

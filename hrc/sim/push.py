@@ -40,6 +40,7 @@ class Grip:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, links: NDArray[np.int64], config: PushConfig) -> None:
         self.config = config
         self._model, self._data, self._links = model, data, links
+        self._xpos, self._xmat, self._qvel = data.xpos, data.xmat, data.qvel  # views, which stay where they are
         self._event: Pull | Push | None = None
         self._normal = np.array([0.0, 0.0, 1.0])
         self._point = self._wanted = np.zeros(3)  # of the event, as arrays
@@ -62,7 +63,7 @@ class Grip:
         if self._event is None:
             return np.full(3, np.nan)
         body = self._links[self._event.link]
-        return self._data.xpos[body] + self._data.xmat[body].reshape(3, 3) @ self._point
+        return self._xpos[body] + self._xmat[body].reshape(3, 3) @ self._point
 
     @property
     def pull(self) -> tuple[Array, Array] | None:
@@ -92,7 +93,7 @@ class Grip:
         if isinstance(event, Push):
             self.force = self._wanted
         else:
-            velocity = J @ self._data.qvel
+            velocity = J @ self._qvel
             pull = self.config.stiffness * (self._wanted - p) - self.config.damping * velocity
             self.force = pull * min(1.0, self.config.cap / max(math.sqrt(pull @ pull), 1e-9))
         return J[:, :7].T @ self.force
@@ -101,7 +102,7 @@ class Grip:
         """The hand in the depth scene: it stands on the surface and collides with nothing."""
         T = np.eye(4)
         if self._event is not None:
-            R = self._data.xmat[self._links[self._event.link]].reshape(3, 3)
+            R = self._xmat[self._links[self._event.link]].reshape(3, 3)
             T = transform(np.eye(3), self.p_world + HAND_LIFT * R @ self._normal)
         return Body(HAND.name, HAND.shape, HAND.size, T, present=self.active, virtual=True)
 

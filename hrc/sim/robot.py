@@ -68,13 +68,15 @@ class SimulatedRobot:
         # Views of the arm's part, which stay where they are: making them anew takes as long as MuJoCo's own step.
         self._q, self._v, self._u, self._applied, self._actuated = (
             part[:7] for part in (data.qpos, data.qvel, data.ctrl, data.qfrc_applied, data.qfrc_actuator))
-        self._armature, self._warnings = self.model.dof_armature[:7], data.warning.number
+        self._armature, self._diverged = self.model.dof_armature[:7], data.warning.number[DIVERGED]
         self._link_of_geom = self._geom_links()
         self._still = np.zeros(7)
+        self._tau_min, self._tau_max = -self.limits.tau_max, self.limits.tau_max
         self.grip = Grip(self.model, self._data, self._links, push)
         self.obstacles = Obstacles(self.model, self._data, scene.bodies, obstacles)
         self._tick = 0
         self._command = self._previous = self._target = self._issued = np.zeros(7)
+        self._change = self._ramp = np.zeros(7)  # from the previous command to this one, and the acceleration between
         self._since = 0
         self._encoder = Encoder(plant.encoder_step, self._ramp_ticks, self._dt)
         self._jitter_rng, self._late = rng.spawn(1)[0], 0
@@ -101,7 +103,7 @@ class SimulatedRobot:
         self._applied[:] = self.grip.torque()
         self.obstacles.step(self._dt)
         mujoco.mj_step(self.model, self._data)
-        if self._warnings[DIVERGED].any():
+        if np.count_nonzero(self._diverged):
             raise SensorError("the simulation has diverged; reset it")
         self._tick += 1
         q_read, v_read = self._encoder.read(self._q, self._v)
@@ -115,18 +117,19 @@ class SimulatedRobot:
             self._issued, self._late = dq, int(self._jitter_rng.integers(self._config.jitter + 1))
         if self._issued is not self._command and self._late <= 0:
             self._previous, self._command, self._since = self._command, self._issued, 0
+            self._change = self._command - self._previous
+            self._ramp = self._change / (self._ramp_ticks * self._dt)
         self._late -= 1
         self._since += 1
         share = min(1.0, self._since / self._ramp_ticks)
-        dq_ref = self._previous + share * (self._command - self._previous)
-        ramping = self._since <= self._ramp_ticks
-        ddq_ref = (self._command - self._previous) / (self._ramp_ticks * self._dt) if ramping else self._still
+        dq_ref = self._previous + share * self._change
+        ddq_ref = self._ramp if self._since <= self._ramp_ticks else self._still
         leash = self._config.leash  # min and max take a third of the time of np.clip
         self._target = np.minimum(np.maximum(self._target + dq_ref * self._dt, q - leash), q + leash)
         wn = self._config.servo_wn
         ddq = ddq_ref + 2.0 * wn * (dq_ref - v) + wn * wn * (self._target - q)
         tau = self._dynamics.inverse_dynamics(q, v, ddq)
-        return np.minimum(np.maximum(tau, -self.limits.tau_max), self.limits.tau_max)
+        return np.minimum(np.maximum(tau, self._tau_min), self._tau_max)
 
     # -- what only the plant knows ----------------------------------------------------------------------------------
 
