@@ -71,10 +71,12 @@ def _largest_scale(base: Array, direction: Array, lower: Array, upper: Array) ->
     """The largest k in 0..1 with lower <= base + k direction <= upper, None if there is none."""
     slack = 1e-12
     still = np.abs(direction) < slack
-    if np.any(still & ((base < lower - slack) | (base > upper + slack))):
-        return None
-    slope = np.where(still, 1.0, direction)
-    ends = np.sort(np.stack([(lower - base) / slope, (upper - base) / slope]), axis=0)
-    least = np.where(still, 0.0, ends[0]).max(initial=0.0)
-    most = np.where(still, 1.0, ends[1]).min(initial=1.0)
-    return float(most) if least <= most + slack and most >= 0.0 else None
+    if np.count_nonzero(still):
+        if np.any(still & ((base < lower - slack) | (base > upper + slack))):
+            return None
+        moves = ~still
+        base, direction, lower, upper = base[moves], direction[moves], lower[moves], upper[moves]
+    one, other = (lower - base) / direction, (upper - base) / direction
+    least = float(np.minimum(one, other).max(initial=0.0))
+    most = float(np.maximum(one, other).min(initial=1.0))
+    return most if least <= most + slack and most >= 0.0 else None
