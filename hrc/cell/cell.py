@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrc.cell.clock import Delayed, Rate
-from hrc.cell.eyes import Eyes, Sighting
+from hrc.cell.eyes import Eyes, Sighting, simulated
 from hrc.cell.steering import Steering
 from hrc.cell.task import plan
 from hrc.cell.watch import Watch
@@ -21,6 +21,7 @@ from hrc.control.reaction import Reaction, Surroundings
 from hrc.control.reference import PathFollower
 from hrc.errors import ConfigError, SensorError
 from hrc.events import Event, MoveCamera, MoveTarget, Reset, Resume, SetParameter, SetPosture, SetTask, Stop
+from hrc.executor import Executor
 from hrc.geometry import look_at
 from hrc.jacobian import Terms
 from hrc.messages import Body, Command, Contact, Mode, RobotState, Snapshot, Truth
@@ -40,9 +41,12 @@ class Cell:
     Same config (with its seed) and same events at the same ticks give the same bits, headless or live, observed or not.
     """
 
-    def __init__(self, config: Config | None = None, device: str = "cpu") -> None:
-        """device: where vision runs, "cpu" or "cuda:0". Raises DeviceError if it is not there, AssetError for a bad scene."""
-        self.device = device
+    def __init__(self, config: Config | None = None, device: str = "cpu", executor: Executor | None = None) -> None:
+        """device: where vision runs, "cpu" or "cuda:0". executor: renders what its cameras take; without, its own thread does.
+
+        Raises DeviceError if the device is not there, AssetError for a bad scene.
+        """
+        self.device, self._executor = device, executor
         self._initial = config or Config()
         self.scene = load_scene(self._initial.scene)
         self._build()
@@ -178,6 +182,8 @@ class Cell:
     # -- construction -----------------------------------------------------------------------------------------------
 
     def _build(self) -> None:
+        if self._executor is not None:
+            self._executor.idle()
         config = self.config = self._initial
         rates, base = config.rates, config.rates.base_hz
         plant_rng, model_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(config.seed).spawn(2))
@@ -227,7 +233,7 @@ class Cell:
         self.command = Command(Mode.IDLE, np.zeros(7), self._terms.x, path.x_d, np.zeros(3))
 
     def _open_eyes(self, config: Config) -> Eyes:
-        return Eyes(self.scene, config, self.device)
+        return Eyes(self.scene, config, self.device, simulated(self._executor))
 
     def _mean_tau(self) -> Array:
         mean = self._tau_sum / (self.config.rates.base_hz // self.config.rates.control_hz)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from hrc.cell.clock import Rate
 from hrc.config import Config
 from hrc.errors import AssetError, ConfigError, EventError, SensorError, unknown
+from hrc.executor import Executor, Inline
 from hrc.messages import Body, Clearance, DepthFrame, Nearest, View, frozen
 from hrc.scene import CameraSpec, Scene, load_scene
 from hrc.sim.depth_camera import DepthCamera, SensorConfig
@@ -120,16 +121,20 @@ MakeSensor = Callable[[CameraSetup, Scene, int, str], Sensor]
 """From a camera's setup, the scene, the seed of its noise, and the device."""
 
 
-def simulated(setup: CameraSetup, scene: Scene, seed: int, device: str) -> DepthCamera:
-    """A camera that renders the scene."""
-    return DepthCamera(Camera(setup.camera), scene.environment, (*scene.bodies, HAND), setup.sensor, seed=seed,
-                       device=device)
+def simulated(executor: Executor | None = None) -> Callable[[CameraSetup, Scene, int, str], DepthCamera]:
+    """A camera that renders the scene, each frame as a job of the executor."""
+    executor = executor or Inline()
+
+    def camera(setup: CameraSetup, scene: Scene, seed: int, device: str) -> DepthCamera:
+        return DepthCamera(Camera(setup.camera), scene.environment, (*scene.bodies, HAND), setup.sensor, seed=seed,
+                           device=device, executor=executor)
+    return camera
 
 
 class Eye:
     """One camera: its frames, the robot's poses that belong to them, and its localizer."""
 
-    def __init__(self, setup: CameraSetup, scene: Scene, config: Config, device: str, sensor: MakeSensor = simulated) -> None:
+    def __init__(self, setup: CameraSetup, scene: Scene, config: Config, device: str, sensor: MakeSensor) -> None:
         self.name, self._scene, self._device, self._make_sensor = setup.name, scene, device, sensor
         self._home = Camera(setup.camera).T_world_camera
         self._stood: Array | None = None  # where the camera was when it took the newest frame; None: as configured
@@ -237,12 +242,12 @@ class Eye:
 class Eyes:
     """The rig. trouble: what was wrong with a frame that was dropped since the last good one."""
 
-    def __init__(self, scene: Scene, config: Config, device: str, sensor: MakeSensor = simulated, *,
+    def __init__(self, scene: Scene, config: Config, device: str, sensor: MakeSensor | None = None, *,
                  images: bool = True) -> None:
         """images: keep in the views what was made of the frames; nothing but a screen or a recording needs it."""
         self._scene, self._base_hz, self._images = scene, config.rates.base_hz, images
         self.trouble = ""
-        self._eyes = [Eye(setup, scene, config, device, sensor) for setup in rig(config, scene)]
+        self._eyes = [Eye(setup, scene, config, device, sensor or simulated()) for setup in rig(config, scene)]
 
     def begin(self, config: Config) -> None:
         """Start anew, with no frames and the noise of the config's seed."""

@@ -118,8 +118,10 @@ class PlayedCell(Cell):
         super()._build()
 
     def _open_eyes(self, config: Config) -> Eyes:
+        render = simulated()
+
         def foreseen(setup: CameraSetup, scene: Scene, seed: int, device: str) -> Sensor:
-            camera = simulated(setup, scene, seed, device)
+            camera = render(setup, scene, seed, device)
             if device != "cpu":  # there the host has little to do with it
                 return camera
             rate = Rate(setup.hz, config.rates.base_hz)

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hrc import meshes
 from hrc.errors import SensorError, unknown
+from hrc.executor import Executor, Inline, Pending
 from hrc.geometry import Array, rotation_about, transform
 from hrc.messages import LINKS, Body, DepthFrame
 from hrc.parameters import Parameters, param
@@ -54,17 +55,19 @@ class DepthCamera:
 
     camera: as calibrated; the true one, `true_camera`, from which the last frame was taken, is off by the config's extrinsic
     error. bodies: all obstacles that may ever be drawn. latency: frames between exposure and delivery, by default those of the
-    config. Raises DeviceError for an unknown device.
+    config. executor: draws the frames that are exposed. Raises DeviceError for an unknown device.
     """
 
     def __init__(self, camera: Camera, environment: Sequence[FixedBox], bodies: Sequence[BodySpec],
-                 config: SensorConfig | None = None, seed: int = 0, latency: int | None = None, device: str = "cpu") -> None:
+                 config: SensorConfig | None = None, seed: int = 0, latency: int | None = None, device: str = "cpu",
+                 executor: Executor | None = None) -> None:
+        self._executor = executor or Inline()
         self._seed, self._fixed_latency = seed, latency
         self._device = kernels.check_device(device)
         self._slot = {body.name: len(LINKS) + i for i, body in enumerate(bodies)}
-        self._camera, self._environment = camera, environment
+        self._camera = self._drawn = camera
+        self._environment = environment
         self.true_camera = _disturbed(camera, config or SensorConfig(), seed)
-        self._moved = False
         grid = kernels.grid(camera)
         background = _background(self.true_camera, environment)
         surfaces = [*meshes.robot("plant"), *(meshes.shape(body.shape, body.size) for body in bodies)]
@@ -75,6 +78,7 @@ class DepthCamera:
 
     def configure(self, config: SensorConfig) -> None:
         """Take changed parameters from the next frame on; the true pose stays as it was built."""
+        self._executor.idle()
         self.config, n = config, self._noise
         self._latency = config.latency if self._fixed_latency is None else self._fixed_latency
         n.scale, n.flying, n.dropout = config.noise, config.flying, config.dropout
@@ -86,28 +90,31 @@ class DepthCamera:
 
         Frames on their way come as they were taken.
         """
-        self._camera, self._moved = self._camera.moved(T_world_camera), True
+        self._camera = self._camera.moved(T_world_camera)
 
     def reset(self) -> None:
         """Forget all frames; the next one is the first again, with the same noise."""
         self._count = 0
-        self._queue: deque[DepthFrame] = deque()
+        self._newest: Pending[DepthFrame] | None = None
+        self._queue: deque[tuple[int, Pending[DepthFrame]]] = deque()
 
     def expose(self, tick: int, T_world_link: Array, bodies: Sequence[Body]) -> bool:
         """Take a frame with the links at these true poses (8, 4, 4) and the bodies where they are; whether one will come.
 
         Raises SensorError for a body that was not given at construction.
         """
-        return self.keep(tick, self.render(self._count, T_world_link, bodies))
+        T, camera, number = self._placed(T_world_link, bodies), self._camera, self._count
+        return self._keep(tick, self._executor.do(lambda: DepthFrame(tick, self._draw(number, T, camera))))
 
     def render(self, number: int, T_world_link: Array, bodies: Sequence[Body]) -> NDArray[np.float32]:
         """The image [m] (H, W) of the frame with this number, counted from 0, which decides on its noise.
 
         Raises SensorError for a body that was not given at construction.
         """
-        if self._moved:  # not before: while it is carried about, a frame is taken now and then
-            self.true_camera, self._moved = _disturbed(self._camera, self.config, self._seed), False
-            self._raster.replace_background(_background(self.true_camera, self._environment))
+        return self._draw(number, self._placed(T_world_link, bodies), self._camera)
+
+    def _placed(self, T_world_link: Array, bodies: Sequence[Body]) -> Array:
+        """The pose of each mesh that is drawn (n, 4, 4)."""
         T_world_mesh = np.zeros((len(LINKS) + len(self._slot), 4, 4))  # zeros: not drawn
         T_world_mesh[: len(LINKS)] = T_world_link
         for body in bodies:
@@ -115,6 +122,13 @@ class DepthCamera:
                 raise SensorError(unknown("body", body.name, self._slot))
             if body.present:
                 T_world_mesh[self._slot[body.name]] = body.T_world_body
+        return T_world_mesh
+
+    def _draw(self, number: int, T_world_mesh: Array, camera: Camera) -> NDArray[np.float32]:
+        """camera: as it was taken to stand at the exposure."""
+        if camera is not self._drawn:  # not before: while it is carried about, a frame is taken now and then
+            self.true_camera, self._drawn = _disturbed(camera, self.config, self._seed), camera
+            self._raster.replace_background(_background(self.true_camera, self._environment))
         self._raster.place(self.true_camera.T_camera_world @ T_world_mesh)
         self._noise.draw(self._seed, number)
         self._graph.replay()
@@ -122,31 +136,42 @@ class DepthCamera:
 
     def keep(self, tick: int, image: NDArray[np.float32]) -> bool:
         """Count a rendered image as taken at this tick; whether it will come."""
+        frame = DepthFrame(tick, image)
+        return self._keep(tick, lambda: frame)
+
+    def _keep(self, tick: int, frame: Pending[DepthFrame]) -> bool:
         self._count += 1
+        self._newest = frame
         if self.config.unplugged:
             self._queue.clear()
             return False
         if self.config.frozen and self._queue:
-            image = self._queue[-1].depth
-        self._queue.append(DepthFrame(tick, image))
+            stuck = DepthFrame(tick, self._queue[-1][1]().depth)
+            self._queue.append((tick, lambda: stuck))
+        else:
+            self._queue.append((tick, frame))
         while len(self._queue) > self._latency + 2:
             self._queue.popleft()
         return True
 
     def latest(self, tick: int) -> DepthFrame | None:
         """The newest frame, of those exposed up to `tick`, that is followed by `latency` others; None before there is one."""
-        exposed = [frame for frame in self._queue if frame.tick <= tick]
-        return exposed[-1 - self._latency] if len(exposed) > self._latency else None
+        exposed = [frame for taken, frame in self._queue if taken <= tick]
+        return exposed[-1 - self._latency]() if len(exposed) > self._latency else None
 
     def perfect(self) -> Array:
         """The last frame without any noise: depth [m] (H, W), +inf where there is nothing."""
+        self._executor.idle()
         return self._raster.image()[0]
 
     def sees(self, p_world: ArrayLike) -> bool:
         """Whether the surface in the last noise-free render, at that point's pixel, is within 2 cm of it in depth."""
+        if self._newest is None:
+            return False
+        self._newest()  # until it is drawn
         u, v, z = self.true_camera.pixel(np.asarray(p_world, np.float64))
         rows, columns = self.true_camera.shape
-        if self._count == 0 or not (z > 0 and -0.5 <= u < columns - 0.5 and -0.5 <= v < rows - 0.5):
+        if not (z > 0 and -0.5 <= u < columns - 0.5 and -0.5 <= v < rows - 0.5):
             return False
         key = kernels.to_image(kernels.read(self._raster.keys), self._raster.grid)[round(v), round(u)]
         return bool(key) and abs(kernels.key_depth(key) - z) <= SEEN

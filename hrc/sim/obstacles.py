@@ -158,8 +158,13 @@ class Turn:
 
 @dataclass
 class _Obstacle:
+    """position, velocity, applied: views of the plant's, which stay where they are; anew they take as long as their use."""
+
     spec: BodySpec
     index: int
+    position: Array
+    velocity: Array
+    applied: Array
     present: bool = False
     mover: Drag | Pressing | None = None
     turn: Turn | None = None
@@ -173,9 +178,7 @@ class Obstacles:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, specs: tuple[BodySpec, ...],
                  config: ObstacleConfig) -> None:
         self._model, self._data, self.config = model, data, config
-        # Views of the whole, which stay where they are: to make one anew takes as long as what is done with it.
-        self._qpos, self._qvel, self._applied = data.qpos, data.qvel, data.qfrc_applied
-        self._all = {s.name: _Obstacle(s, i) for i, s in enumerate(specs)}
+        self._all = {s.name: _Obstacle(s, i, *_slides(data, i)) for i, s in enumerate(specs)}
         for obstacle in self._all.values():
             self._park(obstacle)
 
@@ -209,10 +212,10 @@ class Obstacles:
             if drive is None:
                 self._park(obstacle)
                 continue
-            damping, dofs = 2.0 * ZETA * math.sqrt(drive.stiffness * obstacle.spec.mass), self._dofs(obstacle)
-            velocity = self._qvel[dofs]
-            pull = drive.stiffness * (drive.position - position) + damping * (drive.velocity - velocity)
-            self._applied[dofs] = pull * min(1.0, drive.cap / max(math.sqrt(pull @ pull), 1e-9))
+            damping = 2.0 * ZETA * math.sqrt(drive.stiffness * obstacle.spec.mass)
+            pull = drive.stiffness * (drive.position - position) + damping * (drive.velocity - obstacle.velocity)
+            length = math.sqrt(pull @ pull)
+            obstacle.applied[:] = pull if length <= drive.cap else pull * (drive.cap / length)
 
     def bodies(self) -> tuple[Body, ...]:
         """Where they are now."""
@@ -232,12 +235,12 @@ class Obstacles:
 
     def _appear(self, obstacle: _Obstacle, position: Array, R: Array) -> None:
         """Put the body at this pose at once; EventError, with nothing changed, if the robot is in the way."""
-        before = self._qpos[self._dofs(obstacle)].copy(), self._qvel[self._dofs(obstacle)].copy(), obstacle.R
+        before = obstacle.position.copy(), obstacle.velocity.copy(), obstacle.R
         self._put(obstacle, position)
         self._orient(obstacle, R)
         gap = self._room(obstacle)
         if gap < ROOM:
-            self._qpos[self._dofs(obstacle)], self._qvel[self._dofs(obstacle)] = before[:2]
+            obstacle.position[:], obstacle.velocity[:] = before[:2]
             self._orient(obstacle, before[2])
             raise EventError(f'no room for "{obstacle.spec.name}" there: {max(gap, 0) * 1e3:.0f} mm from the robot, '
                              f"at least {ROOM * 1e3:.0f} mm are needed")
@@ -272,7 +275,7 @@ class Obstacles:
     def _park(self, obstacle: _Obstacle) -> None:
         obstacle.present, obstacle.mover, obstacle.turn = False, None, None
         self._put(obstacle, parked(obstacle.index))
-        self._applied[self._dofs(obstacle)] = 0.0
+        obstacle.applied[:] = 0.0
         obstacle.away = self._body(obstacle)
 
     def _body(self, obstacle: _Obstacle) -> Body:
@@ -280,13 +283,13 @@ class Obstacles:
         return Body(spec.name, spec.shape, spec.size, transform(obstacle.R, self._position(obstacle)), obstacle.present)
 
     def _put(self, obstacle: _Obstacle, position: Array) -> None:
-        self._qpos[self._dofs(obstacle)] = position
-        self._qvel[self._dofs(obstacle)] = 0.0
+        obstacle.position[:], obstacle.velocity[:] = position, 0.0
 
     def _position(self, obstacle: _Obstacle) -> Array:
-        return self._qpos[self._dofs(obstacle)].copy()
+        return obstacle.position.copy()
 
-    @staticmethod
-    def _dofs(obstacle: _Obstacle) -> slice:
-        """The three slides, after the robot's seven joints; the same indices in qpos and qvel."""
-        return slice(7 + 3 * obstacle.index, 10 + 3 * obstacle.index)
+
+def _slides(data: mujoco.MjData, index: int) -> tuple[Array, Array, Array]:
+    """Of an obstacle's three slides, after the robot's seven joints, the positions, velocities and applied forces: views."""
+    dofs = slice(7 + 3 * index, 10 + 3 * index)
+    return data.qpos[dofs], data.qvel[dofs], data.qfrc_applied[dofs]

@@ -19,6 +19,7 @@ HAND_RADIUS = 0.045
 """Radius of the hand drawn in the depth scene [m]."""
 HAND_LIFT = 0.03
 """Its centre stands this far out of the surface [m]."""
+NOTHING, STILL = np.zeros(3), np.zeros(7)
 HAND = BodySpec("grip", "sphere", (HAND_RADIUS,), rgb=(0.93, 0.72, 0.60))
 
 
@@ -39,8 +40,10 @@ class Grip:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, links: NDArray[np.int64], config: PushConfig) -> None:
         self.config = config
-        self._model, self._data, self._links = model, data, links
-        self._xpos, self._xmat, self._qvel = data.xpos, data.xmat, data.qvel  # views, which stay where they are
+        self._model, self._data, self._qvel = model, data, data.qvel
+        # Views of each link's pose, which stay where they are.
+        self._poses = [(data.xpos[body], data.xmat[body].reshape(3, 3)) for body in links.tolist()]
+        self._bodies = links.tolist()
         self._event: Pull | Push | None = None
         self._normal = np.array([0.0, 0.0, 1.0])
         self._point = self._wanted = np.zeros(3)  # of the event, as arrays
@@ -62,8 +65,8 @@ class Grip:
         """The held point [m] (3,), in the world; NaN without one."""
         if self._event is None:
             return np.full(3, np.nan)
-        body = self._links[self._event.link]
-        return self._xpos[body] + self._xmat[body].reshape(3, 3) @ self._point
+        position, R = self._poses[self._event.link]
+        return position + R @ self._point
 
     @property
     def pull(self) -> tuple[Array, Array] | None:
@@ -85,11 +88,10 @@ class Grip:
         """Joint torque of the force in the coming tick [N m] (7,); `force` [N] (3,) is that force, on the robot."""
         event = self._event
         if event is None:
-            self.force = np.zeros(3)
-            return np.zeros(7)
-        body, p = int(self._links[event.link]), self.p_world
-        J = self._J
-        mujoco.mj_jac(self._model, self._data, J, None, p, body)
+            self.force = NOTHING
+            return STILL
+        p, J = self.p_world, self._J
+        mujoco.mj_jac(self._model, self._data, J, None, p, self._bodies[event.link])
         if isinstance(event, Push):
             self.force = self._wanted
         else:
@@ -102,7 +104,7 @@ class Grip:
         """The hand in the depth scene: it stands on the surface and collides with nothing."""
         T = np.eye(4)
         if self._event is not None:
-            R = self._xmat[self._links[self._event.link]].reshape(3, 3)
+            R = self._poses[self._event.link][1]
             T = transform(np.eye(3), self.p_world + HAND_LIFT * R @ self._normal)
         return Body(HAND.name, HAND.shape, HAND.size, T, present=self.active, virtual=True)
 

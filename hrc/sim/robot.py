@@ -68,16 +68,19 @@ class SimulatedRobot:
         # Views of the arm's part, which stay where they are: making them anew takes as long as MuJoCo's own step.
         self._q, self._v, self._u, self._applied, self._actuated = (
             part[:7] for part in (data.qpos, data.qvel, data.ctrl, data.qfrc_applied, data.qfrc_actuator))
-        self._armature, self._diverged = self.model.dof_armature[:7], data.warning.number[DIVERGED]
+        self._diverged = data.warning.number[DIVERGED]
+        self._armature_rate = self.model.dof_armature[:7] / self._dt
         self._link_of_geom = self._geom_links()
-        self._still = np.zeros(7)
         self._tau_min, self._tau_max = -self.limits.tau_max, self.limits.tau_max
         self.grip = Grip(self.model, self._data, self._links, push)
         self.obstacles = Obstacles(self.model, self._data, scene.bodies, obstacles)
         self._tick = 0
-        self._command = self._previous = self._target = self._issued = np.zeros(7)
-        self._change = self._ramp = np.zeros(7)  # from the previous command to this one, and the acceleration between
+        self._command = self._target = self._issued = np.zeros(7)
         self._since = 0
+        self._shares = np.minimum(np.arange(1, self._ramp_ticks + 2) / self._ramp_ticks, 1.0)[:, None]
+        self._leash, self._leash_back = np.full(7, plant.leash), np.full(7, -plant.leash)
+        self._damping, self._stiffness = np.full(7, 2.0 * plant.servo_wn), np.full(7, plant.servo_wn**2)
+        self._ramp(np.zeros(7))
         self._encoder = Encoder(plant.encoder_step, self._ramp_ticks, self._dt)
         self._jitter_rng, self._late = rng.spawn(1)[0], 0
         self.faults = JointFaults(FaultConfig())
@@ -99,37 +102,52 @@ class SimulatedRobot:
     def step(self, dq: Array) -> RobotState:
         """One tick under the velocity command dq [rad/s] (7,); returns what the sensors read after it."""
         v = self._v.copy()
-        self._u[:] = self._servo(self._q, v, dq)
+        self._servo(self._q, v, dq)
         self._applied[:] = self.grip.torque()
         self.obstacles.step(self._dt)
         mujoco.mj_step(self.model, self._data)
         if np.count_nonzero(self._diverged):
             raise SensorError("the simulation has diverged; reset it")
         self._tick += 1
-        q_read, v_read = self._encoder.read(self._q, self._v)
         # On the link side of the gear: what the motor gives, less what it takes to turn itself.
-        tau = self._actuated - self._armature * (self._v - v) / self._dt
-        return RobotState(self._tick, *self.faults.spoil(q_read, v_read, self._sensor.read(tau, self._v)))
+        tau = np.subtract(self._v, v, out=v)
+        tau *= self._armature_rate
+        np.subtract(self._actuated, tau, out=tau)
+        readings = np.empty((3, 7))
+        readings[0], readings[1], readings[2] = self.faults.spoil(
+            *self._encoder.read(self._q, self._v), self._sensor.read(tau, self._v))
+        return RobotState.of(self._tick, readings)
 
-    def _servo(self, q: Array, v: Array, dq: Array) -> Array:
-        """Computed torque [N m] (7,) towards the command, ramped over one control period."""
+    def _servo(self, q: Array, v: Array, dq: Array) -> None:
+        """Computed torque towards the command, ramped over one control period."""
         if dq is not self._issued:  # the controller issues a new array every period
             self._issued, self._late = dq, int(self._jitter_rng.integers(self._config.jitter + 1))
         if self._issued is not self._command and self._late <= 0:
-            self._previous, self._command, self._since = self._command, self._issued, 0
-            self._change = self._command - self._previous
-            self._ramp = self._change / (self._ramp_ticks * self._dt)
+            previous, self._command, self._since = self._command, self._issued, 0
+            self._ramp(previous)
         self._late -= 1
-        self._since += 1
-        share = min(1.0, self._since / self._ramp_ticks)
-        dq_ref = self._previous + share * self._change
-        ddq_ref = self._ramp if self._since <= self._ramp_ticks else self._still
-        leash = self._config.leash  # min and max take a third of the time of np.clip
-        self._target = np.minimum(np.maximum(self._target + dq_ref * self._dt, q - leash), q + leash)
-        wn = self._config.servo_wn
-        ddq = ddq_ref + 2.0 * wn * (dq_ref - v) + wn * wn * (self._target - q)
+        i = self._since
+        if i < self._ramp_ticks:
+            self._since += 1
+        ahead = self._target + self._advance[i]
+        ahead -= q
+        np.maximum(ahead, self._leash_back, out=ahead)  # with np.minimum a third of the time of np.clip
+        np.minimum(ahead, self._leash, out=ahead)
+        self._target = q + ahead
+        ddq = np.multiply(ahead, self._stiffness, out=ahead)
+        ddq += self._lead[i]
+        ddq -= self._damping * v
         tau = self._dynamics.inverse_dynamics(q, v, ddq)
-        return np.minimum(np.maximum(tau, self._tau_min), self._tau_max)
+        np.maximum(tau, self._tau_min, out=tau)
+        np.minimum(tau, self._tau_max, out=self._u)
+
+    def _ramp(self, previous: Array) -> None:
+        """The servo's reference from a command to the present one: how far it goes in each tick [rad], and what it adds to
+        the acceleration [rad/s2]; the last row stands for all ticks that follow."""
+        change = self._command - previous
+        dq_ref = previous + self._shares * change
+        self._advance, self._lead = dq_ref * self._dt, self._damping * dq_ref
+        self._lead[:-1] += change / (self._ramp_ticks * self._dt)
 
     # -- what only the plant knows ----------------------------------------------------------------------------------
 

@@ -39,8 +39,8 @@ def pair(scenes):
     (setup,), scene = rig(config), load_scene(config.scene)
     now = [0]
     rate = Rate(1000, 1000)  # due at every step there is
-    ahead = ForeseenCamera(simulated(setup, scene, 3, "cpu"), scenes, rate, lambda: now[0], Ahead())
-    return simulated(setup, scene, 3, "cpu"), ahead, now, setup.sensor
+    ahead = ForeseenCamera(simulated()(setup, scene, 3, "cpu"), scenes, rate, lambda: now[0], Ahead())
+    return simulated()(setup, scene, 3, "cpu"), ahead, now, setup.sensor
 
 
 def frames(pair, scenes, steps, changes=None, moves=None):
