@@ -92,11 +92,11 @@ class Recorder:
 
     def __init__(self, path: Path, *, base_hz: int, scene: Scene, cameras: Mapping[str, Camera],
                  parameters: Mapping[str, Any], about: Mapping[str, Any], depth: Depth = "sampled", wait: bool = False,
-                 reserve: int = RESERVE, rotate: float = ROTATE_S, beside: Callable[[Snapshot], None] = lambda _: None,
+                 reserve: int = RESERVE, rotate: float = ROTATE_S, beside: Callable[[Snapshot], None] | None = None,
                  footer: bool = True) -> None:
         if depth not in get_args(Depth):
             raise RecordingError(unknown("choice of depth", depth, get_args(Depth)))
-        self.paths, self._beside = [path.resolve()], beside
+        self.paths, self._beside, self._all = [path.resolve()], beside, True  # all: the first one, in any case
         self._reserve, self._rotate = max(reserve, LEAST), round(rotate * base_hz)
         self._clock = _Clock()
         self._begun = -1
@@ -140,6 +140,9 @@ class Recorder:
         if self._over:  # nobody would take it from the queue
             return
         tick = self._clock.at(snapshot)
+        if not (snapshot.fresh_control or snapshot.fresh_frame or snapshot.events or snapshot.refused or self._all):
+            return  # four steps of five bring nothing that is kept
+        self._all = self._beside is not None
         images = self._admitted(snapshot) if snapshot.fresh_frame and self._depth != "none" else ()
         if len(self._queue) >= _STEPS:
             if self._wait:
@@ -230,7 +233,8 @@ class Recorder:
                     self._guarded(self._write_image, image)
                     self._images_out += 1  # whatever became of it: the loop may be waiting for its place
                 try:
-                    self._beside(snapshot)
+                    if self._beside is not None:
+                        self._beside(snapshot)
                 except Exception as error:
                     self._failure = self._failure or error
         self._guarded(self._deliver)

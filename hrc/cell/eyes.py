@@ -26,7 +26,7 @@ SAME_PLACE = 0.1
 MOST_TOUCHES = 4
 FROZEN = 0.01
 """A camera that repeats its image while a link has moved by this is frozen [m]."""
-MONITOR_EVERY = 2
+MONITOR_EVERY = 4
 """In every so-many-th localization the distances of all links out to the monitored range are measured, too: nothing that needs
 them is in a hurry, and with somebody near they take half of its time."""
 APART = 7919

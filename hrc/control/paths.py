@@ -1,6 +1,7 @@
 """Closed paths for the end effector, by arc length: position continuous, tangent continuous, unit speed but in the corners."""
 
 import math
+from bisect import bisect_right
 from pathlib import Path as File
 from typing import Protocol
 
@@ -37,14 +38,14 @@ class Polygon:
         if len(self._corners) < 2 or self._lengths.min() < APART:
             raise ConfigError(f"a path needs at least two waypoints, each {1e3 * APART:g} mm or more from the next")
         self._directions = sides / self._lengths[:, None]
-        self._ends = np.cumsum(self._lengths)
+        self._ends = np.cumsum(self._lengths).tolist()  # asked for one by one: numpy would take five times as long
         self._rounding = np.minimum(rounding, 0.4 * np.minimum(self._lengths, np.roll(self._lengths, 1)))
         self.length = float(self._ends[-1])
 
     def at(self, s: float) -> Array:
         """The point [m] (3,) at arc length s [m]."""
         s = s % self.length
-        k = min(int(np.searchsorted(self._ends, s, side="right")), len(self._ends) - 1)
+        k = min(bisect_right(self._ends, s), len(self._ends) - 1)
         left = self._ends[k] - s
         along = self._lengths[k] - left
         after = (k + 1) % len(self._corners)

@@ -90,11 +90,17 @@ class PathFollower:
         self.speed, self.approach, self.acceleration = speed, approach, acceleration
         self.s = 0.0
         self._motion = Motion(speed, np.zeros(3), np.zeros(3))
+        self._x_d = self._reference()
 
     @property
     def x_d(self) -> Array:
         """The reference now [m] (3,)."""
-        return self.path.at(self.s) + self._motion.offset
+        return self._x_d
+
+    def _reference(self) -> Array:
+        x_d = self.path.at(self.s) + self._motion.offset
+        x_d.flags.writeable = False
+        return x_d
 
     @property
     def velocity(self) -> Array:
@@ -126,7 +132,8 @@ class PathFollower:
         """Move on by `path_speed` (0..1) times the task's speed for dt [s]; returns dx_d over that time [m/s] (3,)."""
         before = self.x_d
         self.s, self._motion = self._after(path_speed, dt)
-        return (self.x_d - before) / dt
+        self._x_d = self._reference()
+        return (self._x_d - before) / dt
 
     def join(self, path: Path, x: Array | None = None) -> None:
         """Go to another path, to its point that is nearest now, and on along it from there.
@@ -136,6 +143,7 @@ class PathFollower:
         x, v = (self.x_d, self.velocity) if x is None else (x, np.zeros(3))
         self.path, self.s = path, nearest(path, x)
         self._motion = Motion(0.0, x - path.at(self.s), v)
+        self._x_d = self._reference()
 
     def _after(self, path_speed: float, dt: float) -> tuple[float, Motion]:
         """Arc length and motion after dt [s] more at `path_speed` (0..1)."""

@@ -21,6 +21,7 @@ HAND_LIFT = 0.03
 """Its centre stands this far out of the surface [m]."""
 NOTHING, STILL = np.zeros(3), np.zeros(7)
 HAND = BodySpec("grip", "sphere", (HAND_RADIUS,), rgb=(0.93, 0.72, 0.60))
+AWAY = Body(HAND.name, HAND.shape, HAND.size, np.eye(4), present=False, virtual=True)
 
 
 @dataclass(frozen=True)
@@ -102,11 +103,11 @@ class Grip:
 
     def hand(self) -> Body:
         """The hand in the depth scene: it stands on the surface and collides with nothing."""
-        T = np.eye(4)
-        if self._event is not None:
-            R = self._poses[self._event.link][1]
-            T = transform(np.eye(3), self.p_world + HAND_LIFT * R @ self._normal)
-        return Body(HAND.name, HAND.shape, HAND.size, T, present=self.active, virtual=True)
+        if self._event is None:
+            return AWAY
+        R = self._poses[self._event.link][1]
+        T = transform(np.eye(3), self.p_world + HAND_LIFT * R @ self._normal)
+        return Body(HAND.name, HAND.shape, HAND.size, T, virtual=True)
 
 
 def outward(link: int, p_link: Array) -> Array:

@@ -62,7 +62,7 @@ def test_a_path_passes_near_every_waypoint(waypoints):
 
 def test_a_frozen_path_stays_and_a_running_one_has_the_speed():
     follower = PathFollower(make_path(TaskConfig()), 0.2)
-    follower.s = 0.05
+    follower.advance(1.0, 0.25)
     before = follower.x_d
     np.testing.assert_allclose(follower.advance(0.0, 0.005), 0.0)
     np.testing.assert_allclose(follower.x_d, before)
