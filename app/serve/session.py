@@ -10,7 +10,7 @@ from typing import Any
 
 from app.serve.driver import Phase, Status
 from app.serve.mailbox import Mailbox
-from app.serve.stopwatch import TimedCell
+from app.serve.stopwatch import Rendering, TimedCell
 from app.settings import changed
 from hrc.cell import scenario
 from hrc.cell.pace import RealTime
@@ -119,6 +119,7 @@ class Session:
         self._alive = time.monotonic()
         self._welcome: tuple[Event, ...] = ()
         self._cell: TimedCell | None = None
+        self._rendering = Rendering()
         self._thread = threading.Thread(target=self._loop, name="cell", daemon=True)
 
     def start(self, name: str) -> None:
@@ -242,7 +243,7 @@ class Session:
                 self.status = Status(Phase.STARTING, f'"{name}": {note}')
         self._say(f'starting "{name}": {note} ...')
         script, config = scenario.load(name), configured(name, self._settings, self._seed)
-        cell = self._cell = TimedCell(config, self._device)
+        cell = self._cell = TimedCell(config, self._device, self._rendering)
         brought = any(isinstance(event, (Press, MoveObstacle)) for _, event in script.events)
         self._welcome = () if brought else (MoveObstacle("ball", HOME["ball"]),)
         base_hz = config.rates.base_hz

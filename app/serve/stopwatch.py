@@ -17,8 +17,8 @@ ROBOT, CAMERA, LOCALIZE, CONTROL = "robot", "camera", "localize", "control"
 """The plant's tick; render, noise and filter of the frames; distances and contact points; Eq. (2) to (15)."""
 
 
-class _Rendering(Beside):
-    """seconds: what a frame takes lately."""
+class Rendering(Beside):
+    """Renders for one cell after the other. seconds: what a frame takes lately."""
 
     seconds = 0.0
 
@@ -38,9 +38,9 @@ class TimedCell(Cell):
     """A cell whose cameras render beside it, and whose steps are timed. A step in which one stage was due with the robot gives
     that stage's time, by what it takes longer than the robot alone; steps with more tell nothing apart, and are left out."""
 
-    def __init__(self, config: Config, device: str = "cpu") -> None:
-        self._rendering = _Rendering()
-        super().__init__(config, device, self._rendering)
+    def __init__(self, config: Config, device: str, rendering: Rendering) -> None:
+        self._rendering = rendering
+        super().__init__(config, device, rendering if device == "cpu" else None)  # a GPU leaves the host little to do
         rates = config.rates
         hz = {CAMERA: rates.camera_hz, LOCALIZE: rates.localize_hz, CONTROL: rates.control_hz}
         self._stages = {stage: Rate(each, rates.base_hz) for stage, each in hz.items()}
