@@ -6,6 +6,7 @@ from enum import StrEnum
 from typing import Protocol
 
 from hrc.config import Config
+from hrc.errors import HrcError
 from hrc.events import Event
 
 HANGS, BUILDS = 10.0, 120.0
@@ -31,6 +32,15 @@ class Status:
     def well(self, silence: float) -> bool:
         """Whether a cell in this phase may give no sign of life for so long [s]."""
         return silence < {Phase.STARTING: BUILDS, Phase.RUNNING: HANGS}.get(self.phase, 0.0)
+
+    @property
+    def refusal(self) -> HrcError:
+        """What an event is refused with while no cell runs."""
+        return HrcError(f"the cell is not running ({self.text})")
+
+
+STOPPED = Status(Phase.STARTING, "stopped: the arm will stand still until Resume")
+"""Of a cell that is still being built when a Stop comes."""
 
 
 class Driver(Protocol):

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.record.shelf import ArchiveError, Progress, Shelf
-from app.serve.driver import Phase, Status
+from app.serve.driver import STOPPED, Phase, Status
 from app.serve.mailbox import Mailbox
 from app.serve.process import SIGN, Order, main
 from app.serve.wire import Answer, Call, CutError, Over, Pulse, Said, State, Wire, with_images
@@ -102,10 +102,10 @@ class RemoteCell:
         with self._lock:
             starting = self.status.phase is Phase.STARTING and isinstance(event, Stop)
             if not starting and (self.config is None or self.status.phase is not Phase.RUNNING):
-                raise HrcError(f"the cell is not running ({self.status.text})")
+                raise self.status.refusal
             if starting:
                 self._tell("put", event)
-                self._become(status=Status(Phase.STARTING, "stopped: the arm will stand still until Resume"))
+                self._become(status=STOPPED)
             else:
                 self._send(Call(next(self._numbers), "put", (event,)))
 
@@ -115,7 +115,7 @@ class RemoteCell:
             if self.status.phase is Phase.FAILED:
                 self.open(self.scenario)
             elif self.config is None or self.status.phase is not Phase.RUNNING:
-                raise HrcError(f"the cell is not running ({self.status.text})")
+                raise self.status.refusal
             else:
                 self._send(Call(next(self._numbers), "reset"))
 

@@ -8,7 +8,7 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from app.serve.driver import Phase, Status
+from app.serve.driver import STOPPED, Phase, Status
 from app.serve.mailbox import Mailbox
 from app.serve.stopwatch import Rendering, TimedCell
 from app.settings import changed
@@ -17,7 +17,6 @@ from hrc.cell.pace import RealTime
 from hrc.cell.run import Inbox, Observer, run
 from hrc.cell.scenario import Scenario
 from hrc.config import Config
-from hrc.errors import HrcError
 from hrc.events import Event, MoveCamera, MoveObstacle, MoveTarget, Press, Pull, Reset, Resume, Stop
 from hrc.messages import Snapshot
 
@@ -147,10 +146,10 @@ class Session:
         """
         with self._lock:
             if self.status.phase is Phase.STARTING and isinstance(event, Stop):
-                self._stop, self.status = event, Status(Phase.STARTING, "stopped: the arm will stand still until Resume")
+                self._stop, self.status = event, STOPPED
                 return
             if self._inbox is None or self.config is None or self.status.phase is not Phase.RUNNING:
-                raise HrcError(f"the cell is not running ({self.status.text})")
+                raise self.status.refusal
             self._inbox.put(event)
         if self._pacer.paused and isinstance(event, (Stop, Resume, Reset)):
             self._pacer.step_once(self.config.rates.base_hz // self.config.rates.control_hz)
