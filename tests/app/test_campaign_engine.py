@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -15,6 +16,7 @@ from typing import Any
 import pytest
 
 from app.__main__ import main
+from app.campaign import command as command_module
 from app.campaign import engine as engine_module
 from app.campaign.cluster import Cluster
 from app.campaign.command import STAMP
@@ -257,3 +259,19 @@ def wait(done: Any, patience: float = 90.0) -> None:
     while not done():
         assert time.monotonic() < end, "nothing came of it"
         time.sleep(0.05)
+
+
+def test_scaling_is_measured_on_what_the_campaign_plays_anyway_and_not_on_too_few(
+        short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("BLOCK", "TURNS", "WARM"):
+        monkeypatch.setattr(command_module, name, 1)
+    out = str(tmp_path / "out")
+    play_all = ["campaign", str(short), "--workers", "2", "--scaling", "--quiet", "--out", out]
+    assert not main([*play_all, "--episodes", "1"])
+    assert "the scaling was not measured: too few episodes were left" in capsys.readouterr().out
+    assert not main([*play_all, "--episodes", "4"])
+    told = capsys.readouterr().out
+    found = re.search(r"scaling ([0-9.]+) = ([0-9.]+) x 2", told)
+    assert found is not None, told
+    assert float(found[1]) == pytest.approx(2.0 * float(found[2]), abs=0.011)
+    assert "8 of 8 records" in told
