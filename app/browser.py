@@ -12,9 +12,11 @@ if TYPE_CHECKING:
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 FLAGS = [
-    "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-renderer-backgrounding",
+    "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-compositing",
+    "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-renderer-backgrounding",
     "--disable-backgrounding-occluded-windows"]
+"""WebGL on the CPU; the panels are put together by plain copying, as any Chromium without a GPU does it by itself. Through
+WebGL's emulation they took all of a core, and a tab of two went without a picture for seconds."""
 VIEWPORT: Any = {"width": 1000, "height": 620}
 PATIENCE_MS = 180_000
 """How long a page may take to be there: a browser that gives way to the server on two slow cores takes over a minute."""

@@ -7,14 +7,15 @@ from typing import Any
 from app.browser import launched, opened
 
 STANDS = 60.0
-"""A page whose banner has not changed for so long stands still [s]. It changes ten times a second where there is time for it:
-a Chromium that gives way and draws on a busy CPU has taken 26 s for one picture, the first with a new kind of thing in it."""
+"""A page whose banner has not changed for so long stands still [s]. It changes ten times a second where there is time."""
 
 
 def watch(url: str, number: int, ready: threading.Event, over: threading.Event, seconds: float) -> list[str]:
     """So many tabs until it is over, or for so long [s] at most; what their consoles said that nobody asked for.
 
-    ready: set when the arm is drawn in all of them. Raises what `launched` and `opened` raise.
+    ready: set when the arm is drawn in all of them. over: set when the cell rests, for whether a tab stands still is asked
+    then: one that gives way to a cell that wants all of two slow cores may wait for a picture for over a minute, and is not to
+    blame. Raises what `launched` and `opened` raise.
     """
     said: list[str] = []
     with launched(aside=True) as browser:

@@ -133,9 +133,10 @@ def _run(job: Job, folder: Path) -> dict[str, Any]:
         context = multiprocessing.get_context("spawn")
         pool = stack.enter_context(ProcessPoolExecutor(2, context, os.nice, (ELSEWHERE,)))
         manager = stack.enter_context(context.Manager())
-        ready, over = manager.Event(), manager.Event()
+        ready, over, rests = (manager.Event() for _ in range(3))
         stack.callback(over.set)
-        tabs = pool.submit(watch, page.url, job.browsers, ready, over, seconds + 120.0) if job.browsers else None
+        stack.callback(rests.set)
+        tabs = pool.submit(watch, page.url, job.browsers, ready, rests, seconds + 240.0) if job.browsers else None
         if tabs is not None:
             _await(ready, tabs)
         crowd = pool.submit(riot, page.server.get_port(), job.seed, over, seconds + 60.0)
@@ -150,6 +151,8 @@ def _run(job: Job, folder: Path) -> dict[str, Any]:
         done, failed, said = {}, {}, []
         try:
             done, failed = crowd.result(timeout=120.0)
+            cell.paused = True
+            rests.set()
             said = tabs.result(timeout=120.0) if tabs is not None else []
         except Exception as error:
             errors.found.append(f"visitors: {type(error).__name__}: {error}")

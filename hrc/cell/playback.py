@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from hrc.cell.cell import Cell
 from hrc.cell.clock import Rate
 from hrc.cell.eyes import CameraSetup, Eyes, Sensor, simulated
-from hrc.cell.foresight import Ahead, ForeseenCamera
+from hrc.cell.foresight import ForeseenCamera
 from hrc.config import Config
 from hrc.errors import SensorError
 from hrc.events import Event, MoveCamera, MoveTarget, Reset, Resume, SetParameter, SetPosture, SetTask, Stop
+from hrc.executor import Beside
 from hrc.messages import Body, DepthFrame, Mode, RobotState, Snapshot, Truth
 from hrc.scene import Scene
 from hrc.sim.depth_camera import SensorConfig
@@ -62,7 +63,7 @@ class PlayedCell(Cell):
         self._tape, self._fixed, self._images = tape, frozenset(fixed), images
         self._stops = {tick + late for tick in stops for late in (0, 1)}  # the step after an event may have its effect
         self._steps = self._cycles = 0
-        self._ahead = Ahead()
+        self._beside = Beside()
         super().__init__(config, device)
 
     def apply(self, event: Event) -> None:
@@ -113,7 +114,7 @@ class PlayedCell(Cell):
         return Truth(tape.forces[i], tape.points[i], int(tape.links[i]), np.zeros(7), bool(tape.visible[i]))
 
     def _build(self) -> None:
-        self._ahead.wait()
+        self._beside.idle()
         self._issued = np.zeros(7)
         super()._build()
 
@@ -125,7 +126,7 @@ class PlayedCell(Cell):
             if device != "cpu":  # there the host has little to do with it
                 return camera
             rate = Rate(setup.hz, config.rates.base_hz)
-            return ForeseenCamera(camera, self._tape.exposed, rate, lambda: self._steps - 1, self._ahead)
+            return ForeseenCamera(camera, self._tape.exposed, rate, lambda: self._steps - 1, self._beside)
 
         if (images := self._images) is None:
             return Eyes(self.scene, config, self.device, foreseen, images=False)

@@ -36,10 +36,8 @@ CANDIDATES = 8
 """The samples are chosen from this many times as many places."""
 NEGLIGIBLE = 1e-4
 """Samples with less than this part of the largest weight do not take part in finding the point."""
-NOTHING = 1e-9
-"""Nor do samples of a smaller weight than this take part in finding the radius."""
-GRAM = ((0, 0), (1, 0), (2, 0), (1, 1), (2, 1), (2, 2))
-"""The entries of a symmetric matrix (3, 3)."""
+NOTHING = 1e-6
+"""Nor do samples of a smaller weight than this take part in finding the radius: all of them together weigh next to nothing."""
 HEAVIEST = 64
 """The point is one of this many samples at most."""
 
@@ -126,17 +124,23 @@ class SurfaceSamples:
         self.spacing = max(c.gap for c in choices)
         first = np.searchsorted(self.link, range(1, 9))
         self.of_link = {i: slice(int(first[i - 1]), int(first[i])) for i in range(1, 8)}
+        self._first = first[:7]
         self._homogeneous = np.vstack([self.p.T, np.ones(len(self.p))])
         self.axes = _axes(self.inward)
-        self.wrenches = np.concatenate([self.axes, np.cross(self.p, self.axes)], axis=2).transpose(0, 2, 1).copy()
+        wrenches = np.concatenate([self.axes, np.cross(self.p, self.axes)], axis=2).transpose(0, 2, 1)
+        self.wrenches = np.ascontiguousarray(wrenches)
         """Unit forces at the samples, along two tangents and inward, with their moments, in link frames (3, 6, n)."""
 
     def in_world(self, T_world_link: Array) -> Array:
-        """The places in the world [m] (n, 3)."""
-        places = np.empty((3, len(self.p)))  # coordinate by coordinate: what is made of them runs along the samples
+        """The places in the world [m] (3, n): what is made of them runs along the samples."""
+        places = np.empty((3, len(self.p)))
         for i, part in self.of_link.items():
             np.matmul(T_world_link[i, :3], self._homogeneous[:, part], out=places[:, part])
-        return places.T
+        return places
+
+    def by_link(self, values: Array) -> Array:
+        """Sums of what there is for each sample (n,) over the links 1 to 7, (7,)."""
+        return np.add.reduceat(values, self._first)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,9 +191,9 @@ class ResidualLocalizer:
     def _sight(self, places: Array, seen: Sequence[Nearest]) -> Array:
         """How likely vision makes a contact at each sample (n,), against right where it sees an obstacle touch."""
         c = self.config
-        likely = np.full(len(places), c.unseen)
+        likely = np.full(places.shape[1], c.unseen)
         for n in seen:
-            off = places.T - n.p_world[:, None]
+            off = places - n.p_world[:, None]
             off = (off * off).sum(axis=0)
             likely += np.exp(-0.5 * (off / c.sight**2 + (n.distance / c.sight_gap) ** 2))
         return likely
@@ -202,13 +206,13 @@ class ResidualLocalizer:
         """
         c, s = self.config, self.samples
         r = r / sigma
-        J = np.empty((3, 7, len(s.p)))  # J_c^T by column, in units of sigma per newton
+        J = np.zeros((3, 7, len(s.p)))  # J_c^T by column, in units of sigma per newton
         R = terms.T_world_link[1:, None, :3, :3]
         J_links = (terms.J_links().reshape(7, 2, 3, 7).transpose(0, 1, 3, 2) @ R).transpose(0, 2, 1, 3).reshape(7, 7, 6)
-        for J_i, part in zip(J_links / sigma[:, None], s.of_link.values(), strict=True):
-            np.matmul(J_i, s.wrenches[:, :, part], out=J[:, :, part])
+        for J_i, (i, part) in zip(J_links / sigma[:, None], s.of_link.items(), strict=True):
+            np.matmul(J_i[:i], s.wrenches[:, :, part], out=J[:, :i, part])  # the joints beyond do not feel it
         b = r @ J
-        g00, g10, g20, g11, g21, g22 = (np.einsum("jn,jn->n", J[k], J[m]) for k, m in GRAM)
+        (g00, _, _), (g10, g11, _), (g20, g21, g22) = np.einsum("kjn,mjn->kmn", J, J)
         normal = np.minimum(np.maximum(b[2] / (g22 + 1e-9), c.f_range[0]), c.f_range[1])  # best without friction
         across = c.friction * normal
         D = np.stack([across, across, normal])
@@ -226,14 +230,15 @@ class ResidualLocalizer:
         x2 = np.maximum(y2, 0.0) / l22
         x1 = (y1 - l21 * x2) / l11
         x0 = (y0 - l10 * x1 - l20 * x2) / l00
-        log_evidence = 0.5 * (y0 * y0 + y1 * y1) + _log_half_gaussian(y2) - np.log(l00 * l11 * l22) - normal / c.f_typical
-        misfit2 = r @ r - y0 * y0 - y1 * y1 - np.maximum(y2, 0.0) ** 2
+        tangential = y0 * y0 + y1 * y1
+        log_evidence = 0.5 * tangential + _log_half_gaussian(y2) - np.log(l00 * l11 * l22) - normal / c.f_typical
+        misfit2 = r @ r - tangential - np.square(np.maximum(y2, 0.0))
         return _Explanation(log_evidence, np.stack([x0, x1, x2]) * D, misfit2)
 
     def _guess(self, found: _Explanation, T_world_link: Array, places: Array, sight: Array) -> Guess:
         s, w = self.samples, self.weights
-        of_links = {i: float(w[part].sum()) for i, part in s.of_link.items()}
-        link = max(of_links, key=of_links.__getitem__)
+        of_links = s.by_link(w)
+        link = 1 + int(np.argmax(of_links))
         first, on_link = s.of_link[link].start, w[s.of_link[link]]
         heavy = np.flatnonzero(on_link > NEGLIGIBLE * on_link.max())
         heavy = first + heavy[np.argsort(-on_link[heavy], kind="stable")[:HEAVIEST]]
@@ -242,16 +247,16 @@ class ResidualLocalizer:
         size2, dots = (p * p).sum(axis=1), p @ p.T
         apart = np.sqrt(np.maximum(size2[:, None] + size2 - 2.0 * dots, 0.0))
         k = int(heavy[np.argmin(apart @ w[heavy])])
-        p_world = places[k].copy()
+        p_world = places[:, k].copy()
         likely = np.flatnonzero(w > NOTHING)
-        off = places[likely] - p_world
-        distance = np.sqrt((off * off).sum(axis=1))
+        off = places[:, likely] - p_world[:, None]
+        distance = np.sqrt((off * off).sum(axis=0))
         order = np.argsort(distance, kind="stable")
         last = int(np.searchsorted(np.cumsum(w[likely[order]]), self.config.content))
         F_world = T_world_link[link, :3, :3] @ (found.force[:, k] @ s.axes[:, k])
         misfit = math.sqrt(max(float(found.misfit2[k]), 0.0) / 7.0)
         radius = math.hypot(float(distance[order[last]]), s.spacing)  # what lies between the samples is not known
-        return Guess(link, s.p[k].copy(), p_world, F_world, of_links[link], radius, misfit,
+        return Guess(link, s.p[k].copy(), p_world, F_world, float(of_links[link - 1]), radius, misfit,
                      bool(sight[k] > 2.0 * self.config.unseen))
 
 
@@ -259,8 +264,8 @@ def _log_half_gaussian(y: Array) -> Array:
     """log(exp(y^2 / 2) Phi(y)), Phi by the bound of its tail that is exact at 0 and far out (to 1 % between)."""
     x = np.abs(y)
     mills = math.sqrt(2.0 / math.pi) / (x + np.sqrt(x * x + 8.0 / math.pi))  # exp(x^2 / 2) Phi(-x)
-    tail = mills * np.exp(-0.5 * np.minimum(x, 30.0) ** 2)
-    return np.where(y < 0.0, np.log(mills), 0.5 * y * y + np.log1p(-tail))
+    tail = mills * np.exp(-0.5 * np.square(np.minimum(x, 9.0)))  # farther out, it is nothing beside 1
+    return 0.5 * np.square(np.maximum(y, 0.0)) + np.log(np.where(y < 0.0, mills, 1.0 - tail))
 
 
 # -- samples ---------------------------------------------------------------------------------------------------------

@@ -76,8 +76,8 @@ def test_a_soft_pull_relaxes_a_harder_one_aborts_and_letting_go_ends_both(tab: A
     tab.evaluate(NOTES_MODES)
     # The page lets go when its browser falls silent, as one on a busy machine without graphics may: then once more.
     assert any(softly_then_hard(tab) for _ in range(4)), tab.evaluate("() => window.modes")
-    modes = tab.evaluate("() => window.modes")
-    assert [mode for mode in modes if mode in ("relax", "abort")][:2] == ["relax", "abort"]
+    modes = [mode for mode in tab.evaluate("() => window.modes") if mode in ("relax", "abort")]
+    assert (modes[0], modes[-1]) == ("relax", "abort"), "an arm that gives way may be idle between two times of relaxing"
     expect(tab.locator("#eb-banner")).to_have_attribute("data-truth", "0.00")
 
 

@@ -8,8 +8,9 @@ import pytest
 from hrc.cell.cell import Cell
 from hrc.cell.clock import Rate
 from hrc.cell.eyes import rig, simulated
-from hrc.cell.foresight import Ahead, ForeseenCamera
+from hrc.cell.foresight import ForeseenCamera
 from hrc.errors import SensorError
+from hrc.executor import Beside
 from hrc.geometry import look_at
 from hrc.messages import Body
 from hrc.scene import load_scene
@@ -39,7 +40,7 @@ def pair(scenes):
     (setup,), scene = rig(config), load_scene(config.scene)
     now = [0]
     rate = Rate(1000, 1000)  # due at every step there is
-    ahead = ForeseenCamera(simulated()(setup, scene, 3, "cpu"), scenes, rate, lambda: now[0], Ahead())
+    ahead = ForeseenCamera(simulated()(setup, scene, 3, "cpu"), scenes, rate, lambda: now[0], Beside())
     return simulated()(setup, scene, 3, "cpu"), ahead, now, setup.sensor
 
 
@@ -75,7 +76,7 @@ def test_every_frame_has_the_same_bits_and_all_but_the_first_are_rendered_ahead(
     found = list(frames(pair, scenes, STEPS))
     assert all(same(a, b) for a, b in found)
     assert sum(a is not None for a, _ in found) > 5
-    assert threads[1:] == ["ahead"] * (len(STEPS) - 1)
+    assert threads[1:] == ["beside"] * (len(STEPS) - 1)
 
 
 def test_changes_of_the_sensor_take_hold_at_the_same_frame(pair, scenes):

@@ -63,7 +63,7 @@ def test_samples_are_even_and_cover_what_is_exposed():
 
 
 def test_what_a_neighbour_covers_is_no_candidate():
-    world = SAMPLES.in_world(TERMS.T_world_link)
+    world = SAMPLES.in_world(TERMS.T_world_link).T
     elbow = TERMS.T_world_link[4, :3, 3]
     hub = SAMPLES.p[SAMPLES.of_link[4]]
     assert world.shape == SAMPLES.p.shape
