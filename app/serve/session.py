@@ -118,7 +118,7 @@ class Session:
         self._alive = time.monotonic()
         self._welcome: tuple[Event, ...] = ()
         self._cell: TimedCell | None = None
-        self._rendering = Rendering()
+        self._rendering = Rendering() if device == "cpu" else None  # a GPU leaves the host little to do
         self._thread = threading.Thread(target=self._loop, name="cell", daemon=True)
 
     def start(self, name: str) -> None:

@@ -35,12 +35,15 @@ class Rendering(Beside):
 
 
 class TimedCell(Cell):
-    """A cell whose cameras render beside it, and whose steps are timed. A step in which one stage was due with the robot gives
-    that stage's time, by what it takes longer than the robot alone; steps with more tell nothing apart, and are left out."""
+    """A cell whose steps are timed; with `rendering`, its cameras render beside it.
 
-    def __init__(self, config: Config, device: str, rendering: Rendering) -> None:
+    A step in which one stage was due with the robot gives that stage's time, by what it takes longer than the robot alone;
+    steps with more tell nothing apart, and are left out.
+    """
+
+    def __init__(self, config: Config, device: str, rendering: Rendering | None) -> None:
         self._rendering = rendering
-        super().__init__(config, device, rendering if device == "cpu" else None)  # a GPU leaves the host little to do
+        super().__init__(config, device, rendering)
         rates = config.rates
         hz = {CAMERA: rates.camera_hz, LOCALIZE: rates.localize_hz, CONTROL: rates.control_hz}
         self._stages = {stage: Rate(each, rates.base_hz) for stage, each in hz.items()}
@@ -58,7 +61,7 @@ class TimedCell(Cell):
         """Stage -> time of one run of it [s], and its part of a core at its rate; those that could be told so far."""
         robot = self._mean.get(ROBOT, 0.0)
         each = {stage: max(0.0, mean - (0.0 if stage == ROBOT else robot)) for stage, mean in list(self._mean.items())}
-        if CAMERA in each:
+        if CAMERA in each and self._rendering is not None:
             each[CAMERA] += self._rendering.seconds
         return {stage: (each[stage], each[stage] * self._hz[stage]) for stage in self._hz if stage in each}
 

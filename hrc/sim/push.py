@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hrc import meshes
 from hrc.events import Event, Pull, Push, Release
 from hrc.geometry import transform
-from hrc.messages import Body
+from hrc.messages import Body, read_only
 from hrc.parameters import Parameters, param
 from hrc.scene import BodySpec
 
@@ -22,6 +22,7 @@ HAND_LIFT = 0.03
 NOTHING, STILL = np.zeros(3), np.zeros(7)
 HAND = BodySpec("grip", "sphere", (HAND_RADIUS,), rgb=(0.93, 0.72, 0.60))
 AWAY = Body(HAND.name, HAND.shape, HAND.size, np.eye(4), present=False, virtual=True)
+read_only(AWAY.T_world_body)
 
 
 @dataclass(frozen=True)
