@@ -7,11 +7,13 @@ import viser
 from viser import uplot
 
 from app.serve.images import CameraImages
-from app.serve.mailbox import ForcePoint
+from app.serve.mailbox import PLOT_PERIOD, PLOT_POINTS, ForcePoint
 from app.serve.numbers import NumbersView
 
 ESTIMATE, TRUTH, RELAX, ABORT = "#ff3b30", "#34c759", "#e08e0b", "#b06ce0"
 WIDTH = 350
+WINDOW = PLOT_POINTS * PLOT_PERIOD
+"""Time that the plot shows [s]."""
 
 
 class SignalView:
@@ -23,10 +25,10 @@ class SignalView:
         with panel.add_tab("Signals", viser.Icon.CHART_LINE):
             self._plot = server.gui.add_uplot(
                 _columns((), 0.0, 0.0),
-                (uplot.Series(label="t [s]"), _line("estimate", ESTIMATE, 2.0), _line("true", TRUTH, 1.5),
+                (uplot.Series(label="t - now [s]"), _line("estimate", ESTIMATE, 2.0), _line("true", TRUTH, 1.5),
                  _line("F_relax", RELAX, 1.0, (6, 4)), _line("F_abort", ABORT, 1.0, (6, 4))),
-                title="Contact force |F| [N] over time [s]", height=150, legend=uplot.Legend(show=False),
-                scales={"x": uplot.Scale(time=False, auto=True)})
+                title=f"Contact force |F| [N], the last {WINDOW:g} s", height=150, legend=uplot.Legend(show=False),
+                scales={"x": uplot.Scale(time=False, range=(-WINDOW, 0.0))})
             lines = (("estimate", ESTIMATE), ("true", TRUTH), ("F_relax", RELAX), ("F_abort", ABORT))
             server.gui.add_html(_key(lines))
             self.images = CameraImages(server)
@@ -43,7 +45,9 @@ class SignalView:
 
 
 def _columns(points: Sequence[ForcePoint], f_relax: float, f_abort: float) -> tuple[np.ndarray, ...]:
-    rows = [(p.time, p.estimate, p.truth, f_relax, f_abort) for p in points] or [(0.0, 0.0, 0.0, f_relax, f_abort)]
+    # Time from now, on an axis that stands: one that follows the data is lost by viser's client where two updates come at once.
+    now = points[-1].time if points else 0.0
+    rows = [(p.time - now, p.estimate, p.truth, f_relax, f_abort) for p in points] or [(0.0, 0.0, 0.0, f_relax, f_abort)]
     return tuple(np.ascontiguousarray(column) for column in np.array(rows).T)
 
 
