@@ -24,7 +24,7 @@ class SignalView:
         panel = server.gui.add_panel()
         with panel.add_tab("Signals", viser.Icon.CHART_LINE):
             self._plot = server.gui.add_uplot(
-                _columns((), 0.0, 0.0),
+                columns((), 0.0, 0.0),
                 (uplot.Series(label="t - now [s]"), _line("estimate", ESTIMATE, 2.0), _line("true", TRUTH, 1.5),
                  _line("F_relax", RELAX, 1.0, (6, 4)), _line("F_abort", ABORT, 1.0, (6, 4))),
                 title=f"Contact force |F| [N], the last {WINDOW:g} s", height=150, legend=uplot.Legend(show=False),
@@ -41,11 +41,14 @@ class SignalView:
         """The last half minute, with the thresholds as they are now [N]; nothing is sent while nothing changes."""
         known = (points[-1].time if points else 0.0, len(points), f_relax, f_abort)
         if known != self._known:
-            self._known, self._plot.data = known, _columns(points, f_relax, f_abort)
+            self._known, self._plot.data = known, columns(points, f_relax, f_abort)
 
 
-def _columns(points: Sequence[ForcePoint], f_relax: float, f_abort: float) -> tuple[np.ndarray, ...]:
-    # Time from now, on an axis that stands: one that follows the data is lost by viser's client where two updates come at once.
+def columns(points: Sequence[ForcePoint], f_relax: float, f_abort: float) -> tuple[np.ndarray, ...]:
+    """Time from now [s], |F| estimated and true and the thresholds [N], each (n,).
+
+    The axis stands: one that follows the data is lost by viser's client where two updates come at once.
+    """
     now = points[-1].time if points else 0.0
     rows = [(p.time - now, p.estimate, p.truth, f_relax, f_abort) for p in points] or [(0.0, 0.0, 0.0, f_relax, f_abort)]
     return tuple(np.ascontiguousarray(column) for column in np.array(rows).T)

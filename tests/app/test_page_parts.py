@@ -15,6 +15,7 @@ from app.serve.mailbox import PLOT_POINTS, Mailbox, Note
 from app.serve.pictures import EMPTY, OBSTACLE, Pictures
 from app.serve.session import Session
 from app.serve.sight import MAX_POINTS, NEAR_BASE, VOXEL, Sight
+from app.serve.signals import WINDOW, columns
 from hrc.cell.cell import Cell
 from hrc.config import Config
 from hrc.events import MoveObstacle, Pull, Reset, SetParameter, Stop
@@ -51,6 +52,18 @@ def test_plot_is_bounded_and_starts_anew_after_a_reset(snapshot: Snapshot) -> No
     assert len(mailbox.forces()) == PLOT_POINTS
     mailbox.on_step(replace(with_force(snapshot, 5, 1.0), events=(Reset(),)))
     assert [point.time for point in mailbox.forces()] == [0.005]
+
+
+def test_the_plot_tells_how_long_ago_and_fills_its_axis(snapshot: Snapshot) -> None:
+    mailbox = Mailbox()
+    for tick in range(0, 40_000, 5):
+        mailbox.on_step(with_force(snapshot, tick, 1.0))
+    ago, _, truth, f_relax, _ = columns(mailbox.forces(), 5.0, 25.0)
+    assert ago[-1] == 0.0
+    assert -WINDOW - 0.005 * PLOT_POINTS <= ago[0] <= -WINDOW + 0.1, "a point comes up to one control tick late"
+    assert (np.diff(ago) > 0.0).all()
+    assert truth.tolist() == [1.0] * PLOT_POINTS
+    assert f_relax.tolist() == [5.0] * PLOT_POINTS
 
 
 def test_no_event_refusal_or_mode_is_lost_between_two_looks(snapshot: Snapshot) -> None:
