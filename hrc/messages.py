@@ -181,7 +181,8 @@ class Contact:
     seen: whether a camera sees an obstacle there; else the place is known from the joints alone. radius [m]: around p_world,
     holds the contact with 90 %.
     F_covariance: of the error of F_world [N^2] (3, 3), from the residual's noise, the point's uncertainty, and what no joint
-    feels, for a force that changes slowly against 1 / K_I; None where nobody has asked.
+    feels, for a force that changes slowly against 1 / K_I, as of when the place was last looked for; None where nobody has
+    asked.
     """
 
     link: int
@@ -302,7 +303,8 @@ class Snapshot:
     fresh_control: bool = False
     fresh_frame: bool = False
     pull: "tuple[Array, Array] | None" = field(default=None)
-    """The grabbed point and the point it is pulled to [m], in the world, while somebody pulls."""
+    """The grabbed point and the point it is pulled to [m], in the world, while somebody pulls: as of the last control tick or
+    event."""
     touches: tuple[Nearest, ...] = ()
     clearances: tuple[Clearance, ...] = ()
     contacts: tuple[Contact, ...] = ()

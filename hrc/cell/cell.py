@@ -29,6 +29,7 @@ from hrc.model import Dynamics, perturbed, pinocchio_model
 from hrc.parameters import field_of, replaced
 from hrc.scene import load_scene
 from hrc.sim.robot import SimulatedRobot
+from hrc.vision import kernels
 
 Array = NDArray[np.float64]
 HISTORY_S = 1.0
@@ -211,7 +212,8 @@ class Cell:
         self._zero = ResidualZero(config.zero, self._dt)
         if not hasattr(self, "_surface"):
             self._surface = SurfaceSamples(config.proprioception.samples, self._dynamics.kinematics(task.q_d)[0])
-        localizer = ResidualLocalizer(config.proprioception, self._surface)
+            self._evidence = kernels.Evidence(self._surface.wrenches, self._surface.of_link)
+        localizer = ResidualLocalizer(config.proprioception, self._surface, self._evidence)
         self._tracker = ContactTracker(config.tracker, config.force, localizer, self._dt, config.pair)
         self.aim = self._steering.aim
         self._reaction = Reaction(config.control, path, posture, (limits.q_min, limits.q_max, limits.dq_max), self._dt,
@@ -229,7 +231,7 @@ class Cell:
         self.contact: Contact | None = None
         self.contacts: tuple[Contact, ...] = ()
         self.residual, self.detected = np.zeros(7), False
-        self.truth, self.bodies = self._robot.truth(), self._robot.bodies()
+        self.truth, self.bodies, self.pull = self._robot.truth(), self._robot.bodies(), self._robot.grip.pull
         self.command = Command(Mode.IDLE, np.zeros(7), self._terms.x, path.x_d, np.zeros(3))
 
     def _open_eyes(self, config: Config) -> Eyes:
@@ -252,6 +254,8 @@ class Cell:
         if fresh_control:
             self.truth, self.bodies = self._truth(), self._bodies()
             self.aim = self._steering.aim
+        if fresh_control or events:
+            self.pull = self._robot.grip.pull
         seen = self.seen
         return Snapshot(
             tick=self.tick, time=self.tick / self.config.rates.base_hz, state=state, command=self.command,
@@ -259,4 +263,4 @@ class Cell:
             contact=self.contact, nearest=seen.nearest[0] if seen.nearest else None, touches=seen.touches,
             clearances=seen.clearances, contacts=self.contacts, views=self.views, truth=self.truth, bodies=self.bodies,
             events=events, refused=refused, fresh_control=fresh_control, fresh_frame=fresh_frame,
-            pull=self._robot.grip.pull, aim=self.aim, exposed=self.exposed)
+            pull=self.pull, aim=self.aim, exposed=self.exposed)

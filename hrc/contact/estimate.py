@@ -1,5 +1,6 @@
 """From what the residual feels and what vision sees to a contact: where Eq. (4), (5) and (10) meet."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,11 +12,12 @@ from hrc.contact.pair import Pair, PairConfig, PairFinder
 from hrc.contact.proprioception import Guess, ResidualLocalizer
 from hrc.contact.residual import Detector
 from hrc.geometry import apply
-from hrc.jacobian import Terms
+from hrc.jacobian import Terms, contact_jacobian
 from hrc.messages import Contact, Nearest
 from hrc.parameters import Parameters, param
 
 Array = NDArray[np.float64]
+EYE = np.eye(3)
 MAIN = 2.0
 """Of two contacts the other becomes the main one when its force is so many times as strong."""
 
@@ -76,6 +78,8 @@ class ContactTracker:
         self._point: _Point | None = None
         self._guess: Guess | None = None
         self._newest: Guess | None = None
+        self._covariance: Array | None = None
+        self._covered: Guess | None = None  # what it was made for
         self._kept = 0  # for so many control cycles
         self._felt = self._lost = self._other = 0.0
 
@@ -112,18 +116,21 @@ class ContactTracker:
         if self._point is None or self._guess is None:
             return ()
         link, p_link = self._point.link, self._point.p_link
-        p_world = apply(terms.T_world_link[link], p_link)
-        J_c = terms.J_contact(link, p_world)  # Eq. (10)
+        T, J_i = terms.T_world_link[link], terms.J_link(link)
+        p_world = apply(T, p_link)
+        J_c = contact_jacobian(J_i, p_world, T[:3, 3])  # Eq. (10)
         F, sigma_min, unobservable, inverse = estimate_force(J_c, r, self.force)  # Eq. (5)
-        strength, known = float(np.sqrt(F @ F)), self.localizer.config
-        spread = (self._guess.radius / known.deviations) ** 2 * np.eye(3)
-        R = np.diag(np.square(known.sigma)) + place_covariance(terms.J_link(link)[3:], F, spread)
-        covariance = force_covariance(inverse, J_c, R, max(known.f_typical, strength) ** 2 * np.eye(3))
+        strength, known = math.sqrt(F @ F), self.localizer.config
+        if self._kept == 1 or self._guess is not self._covered:  # nothing acts by it: so not in every cycle
+            spread = (self._guess.radius / known.deviations) ** 2 * EYE
+            R = np.diag(np.square(known.sigma)) + place_covariance(J_i[3:], F, spread)
+            self._covariance = force_covariance(inverse, J_c, R, max(known.f_typical, strength) ** 2 * EYE)
+            self._covered = self._guess
         return (Contact(link, p_world, p_link, J_c, F, sigma_min, unobservable, strength / max(margin, 1.0), self._guess.seen,
-                        self._guess.radius, covariance),)
+                        self._guess.radius, self._covariance),)
 
     def _both(self, pair: Pair, terms: Terms, margin: float) -> tuple[Contact, ...]:
-        found = []
+        found, self._covered = [], None
         for i, place in enumerate(pair.places):
             p_world = apply(terms.T_world_link[place.link], place.p_link)
             J_c = terms.J_contact(place.link, p_world)

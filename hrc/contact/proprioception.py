@@ -14,10 +14,11 @@ is not fitted but integrated out in closed form: a link on which only one exact 
 probable than one on which many do, which tells the links apart where the best fits are equally good.
 """
 
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +76,12 @@ class ProprioceptionConfig(Parameters):
     @property
     def deviations(self) -> float:
         """How many standard deviations of a point's position in each direction make the radius that holds it."""
-        return math.sqrt(2.0 * float(gammaincinv(1.5, self.content)))
+        return _deviations(self.content)
+
+
+@functools.cache
+def _deviations(content: float) -> float:
+    return math.sqrt(2.0 * float(gammaincinv(1.5, content)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,10 +149,30 @@ class SurfaceSamples:
         return np.add.reduceat(values, self._first)
 
 
-@dataclass(frozen=True, eq=False)
-class _Explanation:
+class Explanation(Protocol):
     """For each sample: log evidence (n,), the force along its axes [N] (3, n), squared misfit (n,)."""
 
+    @property
+    def log_evidence(self) -> Array:
+        """Up to a constant."""
+        ...
+
+    @property
+    def force(self) -> Array:
+        """The likeliest."""
+        ...
+
+    @property
+    def misfit2(self) -> Array:
+        """What that leaves unexplained, in variances."""
+        ...
+
+
+Explain = Callable[[Array, Array, float, float, Sequence[float]], Explanation]
+"""Like `explanation`, at samples that it knows already."""
+
+
+class _Explained(NamedTuple):
     log_evidence: Array
     force: Array
     misfit2: Array
@@ -155,9 +181,11 @@ class _Explanation:
 class ResidualLocalizer:
     """The probability of every sample, from the residual, over successive control ticks of one contact."""
 
-    def __init__(self, config: ProprioceptionConfig, samples: SurfaceSamples) -> None:
+    def __init__(self, config: ProprioceptionConfig, samples: SurfaceSamples, explain: Explain | None = None) -> None:
+        """explain: does for these samples what `explanation` does, quicker."""
         self.config = config
         self.samples = samples
+        self._explain: Explain = explain or functools.partial(explanation, samples)
         self.reset()
 
     def reset(self) -> None:
@@ -179,7 +207,7 @@ class ResidualLocalizer:
             return None
         found = self._explained(r, np.hypot(sigma, c.sigma_relative * float(np.abs(r).max())), terms)
         if self._log is None:
-            self._log = found.log_evidence
+            self._log = found.log_evidence.copy()
         else:
             self._log = self._log + (found.log_evidence - self._log) * (dt / (dt + c.memory))
         places = self.samples.in_world(terms.T_world_link)
@@ -198,44 +226,12 @@ class ResidualLocalizer:
             likely += np.exp(-0.5 * (off / c.sight**2 + (n.distance / c.sight_gap) ** 2))
         return likely
 
-    def _explained(self, r: Array, sigma: Array, terms: Terms) -> _Explanation:
-        """The evidence of r at each sample: its probability density, the force there being unknown.
-
-        With A = J_c^T D in units of sigma, D the standard deviations of the force along the sample's axes, r is Gaussian with
-        covariance I + A A^T; the normal force, which comes last, takes only its positive half.
-        """
-        c, s = self.config, self.samples
-        r = r / sigma
-        J = np.zeros((3, 7, len(s.p)))  # J_c^T by column, in units of sigma per newton
-        R = terms.T_world_link[1:, None, :3, :3]
+    def _explained(self, r: Array, sigma: Array, terms: Terms) -> Explanation:
+        c, R = self.config, terms.T_world_link[1:, None, :3, :3]
         J_links = (terms.J_links().reshape(7, 2, 3, 7).transpose(0, 1, 3, 2) @ R).transpose(0, 2, 1, 3).reshape(7, 7, 6)
-        for J_i, (i, part) in zip(J_links / sigma[:, None], s.of_link.items(), strict=True):
-            np.matmul(J_i[:i], s.wrenches[:, :, part], out=J[:, :i, part])  # the joints beyond do not feel it
-        b = r @ J
-        (g00, _, _), (g10, g11, _), (g20, g21, g22) = np.einsum("kjn,mjn->kmn", J, J)
-        normal = np.minimum(np.maximum(b[2] / (g22 + 1e-9), c.f_range[0]), c.f_range[1])  # best without friction
-        across = c.friction * normal
-        D = np.stack([across, across, normal])
-        b *= D
-        # Cholesky factor of I + A^T A, and y with L y = A^T r.
-        aside2, both = across * across, across * normal
-        l00 = np.sqrt(1.0 + g00 * aside2)
-        l10, l20 = g10 * aside2 / l00, g20 * both / l00
-        l11 = np.sqrt(1.0 + g11 * aside2 - l10 * l10)
-        l21 = (g21 * both - l20 * l10) / l11
-        l22 = np.sqrt(1.0 + g22 * (normal * normal) - l20 * l20 - l21 * l21)
-        y0 = b[0] / l00
-        y1 = (b[1] - l10 * y0) / l11
-        y2 = (b[2] - l20 * y0 - l21 * y1) / l22
-        x2 = np.maximum(y2, 0.0) / l22
-        x1 = (y1 - l21 * x2) / l11
-        x0 = (y0 - l10 * x1 - l20 * x2) / l00
-        tangential = y0 * y0 + y1 * y1
-        log_evidence = 0.5 * tangential + _log_half_gaussian(y2) - np.log(l00 * l11 * l22) - normal / c.f_typical
-        misfit2 = r @ r - tangential - np.square(np.maximum(y2, 0.0))
-        return _Explanation(log_evidence, np.stack([x0, x1, x2]) * D, misfit2)
+        return self._explain(r / sigma, J_links / sigma[:, None], c.friction, c.f_typical, c.f_range)
 
-    def _guess(self, found: _Explanation, T_world_link: Array, places: Array, sight: Array) -> Guess:
+    def _guess(self, found: Explanation, T_world_link: Array, places: Array, sight: Array) -> Guess:
         s, w = self.samples, self.weights
         of_links = s.by_link(w)
         link = 1 + int(np.argmax(of_links))
@@ -258,6 +254,47 @@ class ResidualLocalizer:
         radius = math.hypot(float(distance[order[last]]), s.spacing)  # what lies between the samples is not known
         return Guess(link, s.p[k].copy(), p_world, F_world, float(of_links[link - 1]), radius, misfit,
                      bool(sight[k] > 2.0 * self.config.unseen))
+
+
+def explanation(samples: SurfaceSamples, r: Array, J_links: Array, friction: float, f_typical: float,
+                f_range: Sequence[float]) -> Explanation:
+    """The evidence of r at each sample: its probability density, the force there being unknown.
+
+    r: residual (7,); J_links (7, 7, 6): by link and joint, what a wrench on the link, in its frame, does to the joint; both in
+    units of the residual's error. friction: typical tangential part of the normal force. f_typical: typical normal force,
+    f_range: its bounds [N].
+
+    With A = J_c^T D in units of sigma, D the standard deviations of the force along the sample's axes, r is Gaussian with
+    covariance I + A A^T; the normal force, which comes last, takes only its positive half.
+    """
+    J = np.zeros((3, 7, len(samples.p)))  # J_c^T by column, in units of sigma per newton
+    for J_i, (i, part) in zip(J_links, samples.of_link.items(), strict=True):
+        np.matmul(J_i[:i], samples.wrenches[:, :, part], out=J[:, :i, part])  # the joints beyond do not feel it
+    b = r @ J
+    g00, g11, g22 = np.einsum("kjn,kjn->kn", J, J)
+    g10, g21 = np.einsum("kjn,kjn->kn", J[1:], J[:2])
+    g20 = np.einsum("jn,jn->n", J[2], J[0])
+    normal = np.minimum(np.maximum(b[2] / (g22 + 1e-9), f_range[0]), f_range[1])  # best without friction
+    across = friction * normal
+    D = np.stack([across, across, normal])
+    b *= D
+    # Cholesky factor of I + A^T A, and y with L y = A^T r.
+    aside2, both = across * across, across * normal
+    l00 = np.sqrt(1.0 + g00 * aside2)
+    l10, l20 = g10 * aside2 / l00, g20 * both / l00
+    l11 = np.sqrt(1.0 + g11 * aside2 - l10 * l10)
+    l21 = (g21 * both - l20 * l10) / l11
+    l22 = np.sqrt(1.0 + g22 * (normal * normal) - l20 * l20 - l21 * l21)
+    y0 = b[0] / l00
+    y1 = (b[1] - l10 * y0) / l11
+    y2 = (b[2] - l20 * y0 - l21 * y1) / l22
+    x2 = np.maximum(y2, 0.0) / l22
+    x1 = (y1 - l21 * x2) / l11
+    x0 = (y0 - l10 * x1 - l20 * x2) / l00
+    tangential = y0 * y0 + y1 * y1
+    log_evidence = 0.5 * tangential + _log_half_gaussian(y2) - np.log(l00 * l11 * l22) - normal / f_typical
+    misfit2 = r @ r - tangential - np.square(np.maximum(y2, 0.0))
+    return _Explained(log_evidence, np.stack([x0, x1, x2]) * D, misfit2)
 
 
 def _log_half_gaussian(y: Array) -> Array:

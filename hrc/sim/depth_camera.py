@@ -173,7 +173,7 @@ class DepthCamera:
         rows, columns = self.true_camera.shape
         if not (z > 0 and -0.5 <= u < columns - 0.5 and -0.5 <= v < rows - 0.5):
             return False
-        key = kernels.to_image(kernels.read(self._raster.keys), self._raster.grid)[round(v), round(u)]
+        key = self._raster.key(round(u), round(v))
         return bool(key) and abs(kernels.key_depth(key) - z) <= SEEN
 
 

@@ -42,7 +42,7 @@ class Grip:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, links: NDArray[np.int64], config: PushConfig) -> None:
         self.config = config
-        self._model, self._data, self._qvel = model, data, data.qvel
+        self._model, self._data = model, data
         # Views of each link's pose, which stay where they are.
         self._poses = [(data.xpos[body], data.xmat[body].reshape(3, 3)) for body in links.tolist()]
         self._bodies = links.tolist()
@@ -51,6 +51,7 @@ class Grip:
         self._point = self._wanted = np.zeros(3)  # of the event, as arrays
         self.force = np.zeros(3)
         self._J = np.zeros((3, model.nv))
+        self._J_arm, self._dq = self._J[:, :7], data.qvel[:7]
 
     @property
     def active(self) -> bool:
@@ -97,10 +98,11 @@ class Grip:
         if isinstance(event, Push):
             self.force = self._wanted
         else:
-            velocity = J @ self._qvel
-            pull = self.config.stiffness * (self._wanted - p) - self.config.damping * velocity
-            self.force = pull * min(1.0, self.config.cap / max(math.sqrt(pull @ pull), 1e-9))
-        return J[:, :7].T @ self.force
+            config, velocity = self.config, self._J_arm @ self._dq  # nothing but the arm moves its links
+            pull = config.stiffness * (self._wanted - p) - config.damping * velocity
+            strength = math.sqrt(pull @ pull)
+            self.force = pull if strength <= config.cap else pull * (config.cap / strength)
+        return self.force @ self._J_arm
 
     def hand(self) -> Body:
         """The hand in the depth scene: it stands on the surface and collides with nothing."""

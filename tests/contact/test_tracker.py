@@ -121,6 +121,21 @@ def test_another_link_must_be_the_likeliest_for_a_time():
     assert felt.run(0.4, residual(there), near(here), near(there)).link == 6
 
 
+@pytest.mark.parametrize("every", [1, 2, 7])
+def test_on_another_link_the_force_is_known_as_well_as_there(every):
+    """A covariance is kept between two looks for the place, but not that of another link."""
+    here, there = place(5), place(6)
+    felt = Felt(switch=0.15, every=every)
+    old = felt.run(0.3, residual(here), near(here), near(there))
+    before = old
+    while (contact := felt.step(residual(there), near(here), near(there))).link == 5:
+        before = contact
+    assert contact.F_covariance is not before.F_covariance
+    assert contact.F_covariance is not None
+    assert old.F_covariance is not None
+    assert not np.allclose(contact.F_covariance, old.F_covariance)
+
+
 def test_the_place_glides_over_its_link():
     part = SAMPLES.of_link[5]
     apart = np.linalg.norm(SAMPLES.p[part] - SAMPLES.p[place(5)], axis=1)

@@ -8,6 +8,7 @@ from hrc.vision.kernels.chords import Chords
 from hrc.vision.kernels.clearance import Clearances, Witnesses
 from hrc.vision.kernels.contact import ContactPoints, Found
 from hrc.vision.kernels.distance import Distance
+from hrc.vision.kernels.evidence import Evidence
 from hrc.vision.kernels.filtering import Filter
 from hrc.vision.kernels.noise import Noise
 from hrc.vision.kernels.raster import Rasteriser, Surface
@@ -16,7 +17,7 @@ from hrc.vision.kernels.touches import Touches
 from hrc.vision.kernels.types import MODULE, NO_LINK, Grid, grid, key_depth, pack, to_image, unpack
 
 __all__ = [
-    "MODULE", "NO_LINK", "Chords", "Clearances", "ContactPoints", "Distance", "Filter", "Found", "Graph", "Grid", "Noise",
-    "Rasteriser", "Surface", "Touches", "Witnesses", "check_device", "grid", "key_depth", "pack", "read", "to_image",
+    "MODULE", "NO_LINK", "Chords", "Clearances", "ContactPoints", "Distance", "Evidence", "Filter", "Found", "Graph", "Grid",
+    "Noise", "Rasteriser", "Surface", "Touches", "Witnesses", "check_device", "grid", "key_depth", "pack", "read", "to_image",
     "unpack", "upload", "warm", "warm_for_others", "write",
 ]

@@ -131,6 +131,7 @@ class Rasteriser:
                  background: np.ndarray | None = None) -> None:
         _check(meshes)
         self.grid, self.device = g, device
+        self._view: np.ndarray | None = None
         self._background = zeros(0, wp.uint32, device) if background is None else upload(background, wp.uint32, device)
         sizes = np.array([len(m.vertices) for m in meshes])
         starts = np.cumsum(sizes) - sizes
@@ -186,6 +187,12 @@ class Rasteriser:
         and `more` pixels around."""
         wp.launch(enclose, dim=1, device=self.device, inputs=[
             self.bounds, len(self._margins), wp.uint32(links), reach, more, self.grid, box])
+
+    def key(self, u: int, v: int) -> np.uint32:
+        """The key of one pixel as it is now, 0 where nothing is drawn."""
+        if self._view is None or self.device != "cpu":  # there the view stays what it is
+            self._view = to_image(read(self.keys), self.grid)
+        return self._view[v, u]
 
     def image(self) -> tuple[np.ndarray, np.ndarray]:
         """Fresh copies of the depth [m] (H, W) float32, +inf where nothing is, and of the id (H, W) uint8, 255 there."""

@@ -52,7 +52,7 @@ def warm(device: str = "cpu") -> None:
     Raises DeviceError if there is no such device.
     """
     # The kernels' modules must be imported, or there is nothing to compile yet.
-    from hrc.vision.kernels import clearance, contact, distance, filtering, noise, raster, touches  # noqa: F401
+    from hrc.vision.kernels import clearance, contact, distance, evidence, filtering, noise, raster, touches  # noqa: F401
 
     wp.load_module(MODULE, device=check_device(device))
 
