@@ -47,14 +47,16 @@ def serve(scenario: str = "free", host: str = "127.0.0.1", port: int | Literal["
         recordings: Folder for what is recorded from the page; made with the first.
         results: Folder of a campaign, whose metrics the page can then show on the robot.
     """
-    from app.serve.access import Access
-    from app.serve.main import serve as start
-    from app.settings import parse, read
+    from app.serve import spare
+    with spare.prepared():  # it loads beside what follows
+        from app.serve.access import Access
+        from app.serve.main import serve as start
+        from app.settings import parse, read
 
-    access = Access.of(host, port, token=token, view_token=view_token, names=allow_host, tls_cert=tls_cert, tls_key=tls_key)
-    changes = [*(read(settings_file) if settings_file else ()), *map(parse, _flat(settings))]
-    start(scenario, access, device=device, settings=changes, seed=seed, open_browser=open_browser, recordings=recordings,
-          results=results)
+        access = Access.of(host, port, token=token, view_token=view_token, names=allow_host, tls_cert=tls_cert, tls_key=tls_key)
+        changes = [*(read(settings_file) if settings_file else ()), *map(parse, _flat(settings))]
+        start(scenario, access, device=device, settings=changes, seed=seed, open_browser=open_browser, recordings=recordings,
+              results=results)
 
 
 @commands.command

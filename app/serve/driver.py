@@ -116,8 +116,8 @@ class Driver(Protocol):
         """Back to the start of the scenario; a cell that failed is made anew."""
         ...
 
-    def watch(self, *, watched: bool) -> None:
-        """Whether anybody looks at the cell."""
+    def watch(self, hz: int) -> None:
+        """How often somebody looks at the cell [Hz]; 0: nobody does."""
         ...
 
     def step(self, ticks: int) -> None:

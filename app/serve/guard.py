@@ -4,8 +4,8 @@ viser has no hook for any of this, but it builds its server by `websockets.async
 `process_request` sees every request before it is answered, `create_connection` makes the object whose `recv` hands the
 messages over, and `sock` takes a socket bound beforehand (viser would move on to the next port in silence). So `serve`
 is wrapped while viser's constructor runs. Private names of viser are used in this file, inbound.py, icons.py,
-jpeg.py, wakeup.py, backlog.py, pulse.py and download.py only; its version is pinned, and tests/app/test_guard.py
-is the tripwire.
+jpeg.py, wakeup.py, backlog.py, lean.py, pulse.py and download.py only; its version is pinned, and
+tests/app/test_guard.py is the tripwire.
 """
 
 import asyncio
@@ -26,7 +26,7 @@ from viser import _messages
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-from app.serve import backlog, content, wakeup
+from app.serve import backlog, content, lean, wakeup
 from app.serve.address import LOOPBACK, PageError, bind, hostname, is_loopback, is_number
 from app.serve.inbound import RefusedError, screen, widget_of
 from app.serve.keys import Keys, Role
@@ -81,6 +81,7 @@ class Guard:
         listener = bind(host, port)
         wakeup.install()
         backlog.install()
+        lean.install()
         stock = websockets_server.serve
 
         def guarded(handler: Any, _host: str, _port: int, **options: Any) -> Any:

@@ -37,6 +37,7 @@ from app.serve.selection import Selection
 from app.serve.session import Session, configured
 from app.serve.signals import SignalView
 from app.serve.steering import Steering
+from app.serve.tempo import Tempo
 from app.serve.theme import Theme
 from app.serve.tuning import Tuning
 from hrc.cell import scenario as scenarios
@@ -66,6 +67,7 @@ class Page:
         Raises ScenarioError, ConfigError, AssetError or DeviceError for what cannot be run, PageError for an address that
         cannot be served, and HrcError for results that are none.
         """
+        self._holes = Holes()
         check_device(device)
         fields = read(results) if results is not None else []
         self._mailbox = mailbox = Mailbox()
@@ -112,8 +114,9 @@ class Page:
         self.seat_box = SeatBox(self.guard, self.server, panel.seat, self.journal.tell)
         screen = Screen(view, forces, cameras, distances, obstacles, placing, steering, panel, signals, tuning, demo,
                         Selection(view), self.journal, self.seat_box)
-        self._publisher = Publisher(self.server, self.session, mailbox, screen, config)
-        self._holes = Holes()
+        # A cell in this process takes more of it than the page may; fewer pictures would not help it.
+        self.tempo = Tempo() if observers is None else Tempo(lambda: 0.0)
+        self._publisher = Publisher(self.server, self.session, mailbox, screen, config, self.tempo)
 
     @property
     def latest(self) -> Snapshot | None:

@@ -105,9 +105,9 @@ class Panel:
             self._shown = self._scenario.value = self._session.scenario
         self._run.options = (PLAY[self._session.paused], "Step", "Reset")
 
-    def update_log(self) -> None:
+    def update_log(self, snapshot: Snapshot | None) -> None:
         """The log and the recording, if they have changed."""
-        self._recordings.update()
+        self._recordings.update(snapshot)
         self._log.content = self._journal.html()
 
     def show_parameters(self, config: Config) -> None:

@@ -4,6 +4,7 @@ Of each image the part around the robot is shown: the rest is floor and walls.
 """
 
 import math
+from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
@@ -16,6 +17,7 @@ from hrc.messages import DepthFrame, RobotImage
 from hrc.vision.camera import Camera
 
 Pixel = TypeVar("Pixel", bound=np.generic)
+Indices = NDArray[np.intp]
 Picture = NDArray[np.uint8]
 """RGB, shape (rows, columns, 3)."""
 
@@ -29,6 +31,7 @@ EMPTY: Colour = (20, 22, 27)
 """Where a camera measured nothing, and where nothing is left."""
 OBSTACLE: Colour = (84, 178, 255)
 CROSS: Colour = (255, 59, 48)
+LINK_COLOURS = np.array(palette.LINKS, np.float32)
 
 
 class Pictures:
@@ -50,18 +53,13 @@ class Pictures:
 
     def expected(self, robot: RobotImage) -> Picture:
         """The robot as the camera should see it, each link in its colour."""
-        depth, link, picture = self._cut(robot.depth), self._cut(robot.link), self.blank.copy()
-        on = link < len(palette.LINKS)
-        picture[on] = np.array(palette.LINKS)[link[on]] * self._relief(depth)[on, None]
-        return picture
+        link = self._cut(robot.link)
+        return self._lit(self._cut(robot.depth), link < len(LINK_COLOURS), lambda on: LINK_COLOURS[link[on]])
 
     def remaining(self, foreground: DepthFrame) -> Picture:
         """What perception takes for obstacles: the depth image without robot and environment."""
-        depth, picture = self._cut(foreground.depth), self.blank.copy()
-        on = np.isfinite(depth)
-        if on.any():
-            picture[on] = np.array(OBSTACLE) * self._relief(depth)[on, None]
-        return picture
+        depth = self._cut(foreground.depth)
+        return self._lit(depth, np.isfinite(depth), lambda _: np.array(OBSTACLE, np.float32))
 
     def marked(self, picture: Picture, pixel: tuple[float, float], colour: Colour, radius: float) -> Picture:
         """The picture with a ring around a pixel (u, v) of the depth image. radius: over the picture's longer side."""
@@ -79,6 +77,19 @@ class Pictures:
 
     def _cut(self, image: NDArray[Pixel]) -> NDArray[Pixel]:
         return image[self._rows, self._columns]
+
+    def _lit(self, depth: NDArray[np.float32], on: NDArray[np.bool_],
+             colours: Callable[[tuple[Indices, Indices]], NDArray[np.float32]]) -> Picture:
+        """What lies at some pixels, under a headlamp; only the part of the image that holds it is looked at.
+
+        colours: of pixels by row and column (n, 3), or one for all (3,).
+        """
+        picture, (rows, columns) = self.blank.copy(), np.nonzero(on)
+        if len(rows):
+            top, left = max(0, int(rows[0]) - 1), max(0, int(columns.min()) - 1)
+            light = self._relief(depth[top : int(rows[-1]) + 1, left : int(columns.max()) + 1])
+            picture[rows, columns] = colours((rows, columns)) * light[rows - top, columns - left, None]
+        return picture
 
     def _relief(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
         """How much light a headlamp at the camera throws back, 0.4 to 1: dark where the surface turns away."""

@@ -1,9 +1,11 @@
 """The process that the cell has to itself: nothing that a page does takes the interpreter away from it.
 
-Here run the cell's thread, the recording, and two more: one takes the calls of the page, one sends it a pulse thirty times a
-second. When the page has gone, however that happened, the recording is closed and the process ends.
+Here run the cell's thread, the recording, and two more: one takes the calls of the page, one sends it a pulse for each picture
+that it draws. When the page has gone, however that happened, the recording is closed and the process ends.
 """
 
+import contextlib
+import os
 import signal
 import sys
 import threading
@@ -25,16 +27,18 @@ from hrc.errors import HrcError
 from hrc.events import Event, Release
 from hrc.messages import Snapshot
 
-PULSE = 1.0 / 30.0
-"""Between two pulses [s]."""
-IMAGES = 1.0 / 15.0
-"""Between two that have images [s], which is as often as the page draws points."""
+PULSES = 30
+"""A second, while nobody looks; else as many as the page draws pictures."""
+IMAGES_EVERY = 2
+"""Of so many pulses one has images, which is as often as the page draws points."""
 SIGN, SILENT = 0.5, 2.0
 """How often the page gives a sign of life, and without one for how long the arm is let go [s]."""
 SWITCH = 0.0005
 """For how long a thread may keep the interpreter to itself [s]. The cell gives it up some times in each tick of 1 ms, for
 MuJoCo and for each kernel, and would wait ten times as long by default until whoever took it meanwhile gives it back.
 """
+URGENT = -8
+"""Added to the niceness of the process, where the system lets it: the cell is due at each tick, pictures can wait."""
 
 
 class Witness(Observer, Protocol):
@@ -52,13 +56,19 @@ class Order:
     witness: Callable[[], Witness] | None = None
 
 
-def main(connection: Link, order: Order) -> None:
-    """Serve the page at the other end until it says so, has gone, or this process is told to end."""
-    told: list[int] = []  # an Event would lock up when a second signal comes in the middle of the first one's set()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is the page's, which ends this one then
-    signal.signal(signal.SIGTERM, lambda number, _: told.append(number))
+def main(connection: Link) -> None:
+    """Serve the page at the other end, which sends its order first, until it says so, has gone, or this process is to end."""
     sys.setswitchinterval(SWITCH)
-    host = Host(Wire(connection), order)
+    with contextlib.suppress(PermissionError):  # whoever is not root needs RLIMIT_NICE for it (`ulimit -e 28`)
+        os.nice(URGENT)
+    wire = Wire(connection)
+    try:
+        order = wire.receive()
+    except CutError:  # there will be no page
+        return
+    told: list[int] = []  # an Event would lock up when a second signal comes in the middle of the first one's set()
+    signal.signal(signal.SIGTERM, lambda number, _: told.append(number))
+    host = Host(wire, order)
     threading.excepthook = host.broken
     host.start()
     while not told and not host.over.wait(0.1):
@@ -70,7 +80,7 @@ class Host:
     """Cell, recording, and what the page hears of them. over: the page needs it no more."""
 
     def __init__(self, wire: Wire, order: Order) -> None:
-        self.over = threading.Event()
+        self.over, self._holes = threading.Event(), Holes()
         self._wire, self._mailbox = wire, Mailbox()
         self._archive = Archive(order.recordings, order.device)
         self._archive.over = lambda told: self._tell(Over(told))
@@ -78,13 +88,12 @@ class Host:
         watchers: Sequence[Observer] = (self._archive, *filter(None, [self._witness]))
         self._session = Session(self._mailbox, device=order.device, settings=dict(order.settings), seed=order.seed,
                                 say=lambda line: self._tell(Said(line)), observers=watchers)
-        self._begun, self._heard, self._watched = False, 0, False
+        self._begun, self._heard, self._looked = False, 0, 0
         self._heard_at = time.monotonic()
         self._config: Config | None = None
         self._sent: Snapshot | None = None
         self._plotted: ForcePoint | None = None
         self._images_at, self._whole = 0.0, False
-        self._holes = Holes()
 
     def start(self) -> None:
         """Listen, and tell."""
@@ -161,8 +170,8 @@ class Host:
     def _speed(self, speed: float) -> None:
         self._session.speed = speed
 
-    def _watch(self, watched: bool) -> None:
-        self._watched = watched
+    def _watch(self, hz: int) -> None:
+        self._looked = hz
 
     def _ask(self, what: str) -> Any:
         return getattr(self._witness, what)()
@@ -172,7 +181,7 @@ class Host:
     def _beat(self) -> None:
         due = time.monotonic()
         while not self.over.wait(max(0.0, due - time.monotonic())):
-            due = max(due + PULSE, time.monotonic())
+            due = max(due + 1.0 / (self._looked or PULSES), time.monotonic())
             try:
                 self._wire.send_made(self._pulse)
             except CutError:
@@ -186,7 +195,7 @@ class Host:
         config = self._session.config if self._session.config is not self._config else None
         self._config = self._session.config
         same, images, shown = latest is self._sent, False, None
-        if latest is not None and (not same or (self._watched and not self._whole)):
+        if latest is not None and (not same or (self._looked and not self._whole)):
             images = self._images_due(latest)
             shown, same = slim(latest, images=images), False
             self._whole = images
@@ -197,8 +206,9 @@ class Host:
         """Whether this snapshot is sent with its images."""
         now = time.monotonic()
         none = any(view.frame is None for view in snapshot.views)
-        if none or (self._watched and now >= self._images_at):
-            self._images_at = max(self._images_at + IMAGES, now - 0.5 * IMAGES)
+        if none or (self._looked and now >= self._images_at):
+            gap = IMAGES_EVERY / (self._looked or PULSES)
+            self._images_at = max(self._images_at + gap, now - 0.5 * gap)
             return True
         return False
 

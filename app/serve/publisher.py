@@ -26,6 +26,7 @@ from app.serve.seat_box import SeatBox
 from app.serve.selection import Selection
 from app.serve.signals import SignalView
 from app.serve.steering import Steering
+from app.serve.tempo import Tempo
 from app.serve.tuning import Tuning
 from hrc.cell.eyes import rig
 from hrc.config import Config
@@ -35,9 +36,9 @@ from hrc.messages import Snapshot
 from hrc.parameters import replaced
 from hrc.scene import load_scene
 
-POSE_HZ = 30
 CLOUD_EVERY, IMAGE_EVERY, PANEL_EVERY, NUMBERS_EVERY, TRAIL_EVERY, SEAT_EVERY = 2, 3, 3, 6, 6, 30
-"""In beats of POSE_HZ: cloud 15 Hz, camera images, banner and plot 10 Hz, numbers and tool path 5 Hz, the seat 1 Hz."""
+"""In beats, of which there are thirty a second if the machine is quick enough: cloud 15 Hz then, camera images, banner and plot
+10 Hz, numbers and tool path 5 Hz, the seat 1 Hz."""
 GAP = 0.02
 """Between two beats, however late they are [s]: viser sends only then, and looks 60 times a second."""
 
@@ -63,12 +64,13 @@ class Screen:
 
 
 class Publisher:
-    """Publishes until it is closed. config: what the screen shows until the first cell runs."""
+    """Publishes until it is closed, at a tempo. config: what the screen shows until the first cell runs."""
 
     def __init__(self, server: viser.ViserServer, session: Driver, mailbox: Mailbox, screen: Screen,
-                 config: Config) -> None:
+                 config: Config, tempo: Tempo) -> None:
         self._server, self._session, self._mailbox, self._screen = server, session, mailbox, screen
         self._begun: Config | None = None
+        self._tempo = tempo
         self._begin(config)
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="publisher", daemon=True)
@@ -84,9 +86,11 @@ class Publisher:
 
     def _loop(self) -> None:
         beat, due = 0, time.monotonic()
+        self._tempo.begin()
         while not self._closing.wait(max(GAP, due - time.monotonic())):
-            due = max(due + 1.0 / POSE_HZ, time.monotonic())
+            due = max(due + 1.0 / self._tempo.hz, time.monotonic())
             beat += 1
+            self._tempo.beat()
             try:
                 with self._server.atomic():  # one frame for each browser, and one wake-up of the sockets' thread
                     self._publish(beat)
@@ -100,10 +104,10 @@ class Publisher:
         self._read_notes()
         snapshot = self._mailbox.latest  # after the notes: what they tell of has happened in it
         watched = bool(self._server.get_clients())
-        self._session.watch(watched=watched)
+        self._session.watch(self._tempo.hz if watched else 0)
         if beat % PANEL_EVERY == 0:
             self._screen.panel.update(snapshot)
-            self._screen.panel.update_log()
+            self._screen.panel.update_log(snapshot)
         if beat % SEAT_EVERY == 0:
             self._screen.seat.update()
         if snapshot is not None:
@@ -113,6 +117,7 @@ class Publisher:
 
     def _draw(self, beat: int, snapshot: Snapshot) -> None:
         self._screen.view.update_poses(snapshot)
+        self._screen.view.follow(snapshot)
         self._screen.forces.update(snapshot)
         self._screen.distances.update(snapshot)
         if beat % CLOUD_EVERY == 0:
@@ -128,7 +133,7 @@ class Publisher:
         if beat % IMAGE_EVERY == 1:
             self._screen.signals.images.update(snapshot)
         if beat % TRAIL_EVERY == 3:
-            self._screen.view.update_trail(snapshot)
+            self._screen.view.update_trail()
 
     def _read_notes(self) -> None:
         """The log, and what follows from an event: sliders show what the cell has, not what was asked for."""

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import threading
+import time
 from html import escape
 from typing import Any
 
@@ -16,12 +17,14 @@ from app.serve.driver import Driver, Phase
 from app.serve.journal import Journal
 from app.serve.remote import RemoteArchive
 from hrc.errors import HrcError
+from hrc.messages import Snapshot
 
 NONE: str = "-"
 """Choice in the list while there is no recording."""
 START, STOP = "Record", "End the recording"
 LOAD_AFTER = 8.0
-"""How long after the first cell runs the recorder is loaded [s], for then a click need not wait for it."""
+"""For how long the arm must have been left alone before the recorder is loaded [s]: a click need not wait for it then, and who
+pushes the arm loses nothing to it."""
 
 
 class RecordingControls:
@@ -34,7 +37,8 @@ class RecordingControls:
         self._reviewed: Server | None = None
         self._note, self._problem, self._busy = "", "", False
         self._doomed = ""  # the recording that one more press of Delete removes
-        self._loading: threading.Timer | None = None
+        self._loading: threading.Thread | None = None
+        self._alone_since: float | None = None
         archive.over = self._over
 
     def add(self) -> None:
@@ -56,12 +60,10 @@ class RecordingControls:
             button.on_click(self._tried(act))
         self._show_list()
 
-    def update(self) -> None:
-        """What is being recorded, as it is now."""
-        if self._loading is None and self._session.status.phase is Phase.RUNNING:
-            self._loading = threading.Timer(LOAD_AFTER, self._warm)
-            self._loading.daemon = True
-            self._loading.start()
+    def update(self, snapshot: Snapshot | None) -> None:
+        """What is being recorded, as it is now. snapshot: how the cell is."""
+        if self._loading is None:
+            self._load_when_alone(snapshot)
         now = self.archive.now
         self._start.visible, self._stop.visible = now is None, now is not None
         self._start.disabled = self._stop.disabled = self._busy
@@ -76,12 +78,22 @@ class RecordingControls:
     def close(self) -> None:
         """Finish what is being recorded; the viewer goes, too."""
         if self._loading is not None:
-            self._loading.cancel()
             self._loading.join()
         self.archive.close()
         if self._reviewed is not None:
             self._reviewed.shutdown()
             self._reviewed.server_close()
+
+    def _load_when_alone(self, snapshot: Snapshot | None) -> None:
+        """While the arm is pushed, all of a slow core's time is the cell's."""
+        runs = self._session.status.phase is Phase.RUNNING
+        if snapshot is None or not runs or snapshot.detected or snapshot.pull is not None:
+            self._alone_since = None
+        elif self._alone_since is None:
+            self._alone_since = time.monotonic()
+        elif time.monotonic() - self._alone_since > LOAD_AFTER:
+            self._loading = threading.Thread(target=self._warm, name="load the recorder", daemon=True)
+            self._loading.start()
 
     def _warm(self) -> None:
         with contextlib.suppress(HrcError):  # a cell that has gone meanwhile says so elsewhere

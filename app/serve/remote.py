@@ -2,7 +2,6 @@
 
 import contextlib
 import itertools
-import multiprocessing
 import queue
 import sys
 import threading
@@ -15,9 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.record.shelf import ArchiveError, Progress, Shelf
+from app.serve import spare
 from app.serve.driver import STOPPED, Phase, Status
 from app.serve.mailbox import Mailbox
-from app.serve.process import SIGN, Order, main
+from app.serve.process import SIGN, Order
 from app.serve.wire import Answer, Call, CutError, Over, Pulse, Said, State, Wire, with_images
 from hrc.config import Config
 from hrc.errors import HrcError
@@ -51,7 +51,8 @@ class RemoteCell:
         self._since = 0  # a pulse tells nothing of the state until this call has been heard
         self._outbox: queue.SimpleQueue[Call | None] | None = None
         self._process: BaseProcess | None = None
-        self._closing = self._watched = False
+        self._closing = False
+        self._looked = 0
         self._next = 0.0
 
     # -- what the page wants ----------------------------------------------------------------------------------------
@@ -61,13 +62,11 @@ class RemoteCell:
         with self._lock:
             if self._process is not None or self._closing:
                 return
-            here, there = multiprocessing.Pipe()
-            context = multiprocessing.get_context("spawn")
-            process = context.Process(target=main, args=(there, self._order), name="cell", daemon=True)
-            process.start()
-            there.close()
+            process, link = spare.taken()
+            wire = Wire(link)
+            with contextlib.suppress(CutError):  # whoever reads finds out, too, and says so
+                wire.send(self._order)
             self._process, self._outbox = process, queue.SimpleQueue()
-            wire = Wire(here)
             for act, *means in ((self._read, wire, process), (self._write, wire, self._outbox)):
                 threading.Thread(target=act, args=means, name="cell's wire", daemon=True).start()
             if self.speed != 1.0:
@@ -147,12 +146,15 @@ class RemoteCell:
             self._tell("speed", speed)
             self._become(speed=speed)
 
-    def watch(self, *, watched: bool) -> None:
-        """Whether anybody looks: images are sent then only. To be told again and again, or the cell takes the page for gone."""
-        if watched != self._watched or time.monotonic() >= self._next:
+    def watch(self, hz: int) -> None:
+        """How often somebody looks [Hz], and so how often the cell tells what is new. 0: nobody, so that no images are sent.
+
+        To be told again and again, or the cell takes the page for gone.
+        """
+        if hz != self._looked or time.monotonic() >= self._next:
             with self._lock:
-                self._watched, self._next = watched, time.monotonic() + SIGN
-                self._send(Call(next(self._numbers), "watched", (watched,)))
+                self._looked, self._next = hz, time.monotonic() + SIGN
+                self._send(Call(next(self._numbers), "watched", (hz,)))
 
     def call(self, what: str, *arguments: Any) -> Any:
         """Have something done there, and wait for what comes of it. Raises what it raises, or HrcError if nobody answers."""

@@ -86,14 +86,17 @@ class SceneView:
                     node.position, node.wxyz = T[:3, 3], quaternion_from_rotation(T[:3, :3])
         self.shown = snapshot.T_world_link
 
-    def update_trail(self, snapshot: Snapshot) -> None:
-        """The path the tool took."""
+    def follow(self, snapshot: Snapshot) -> None:
+        """Remember where the tool is."""
         x = snapshot.command.x
         moved = float(np.linalg.norm(x - self._path[-1])) if self._path else np.inf
         if moved > TRAIL_GAP:  # nobody was looking for a while: do not draw a line across
             self._path.clear()
         if moved > TRAIL_STEP:
             self._path.append(x)
+
+    def update_trail(self) -> None:
+        """The path the tool took."""
         line = np.array(self._path, np.float32)
         with self._server.atomic():
             self.trail.visible = self.show_trail and len(line) > 1

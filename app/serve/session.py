@@ -179,7 +179,7 @@ class Session:
         self.paused = True
         self._pacer.step_once(ticks)
 
-    def watch(self, *, watched: bool) -> None:
+    def watch(self, hz: int) -> None:
         """Nothing: what is looked at is here anyway."""
 
     @property

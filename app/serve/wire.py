@@ -73,7 +73,7 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
-    """What is new since the pulse before, thirty times a second.
+    """What is new since the pulse before, up to thirty times a second.
 
     heard: number of the last call that had been taken. config: of another cell. notes, forces: all of them; begun: the forces
     before these are to be forgotten. snapshot: the latest, if there is one, and if it is not still the one before, which is

@@ -2,6 +2,8 @@
 
 import ctypes
 import platform
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -39,3 +41,25 @@ def test_holes_are_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
         holes.close()
         for piece in kept:
             libc.free(piece)
+
+
+TELLS = """
+import ctypes, threading
+from app.serve.heap import Holes
+holes = Holes()
+threads = [threading.Thread(target=lambda: [bytes(3000) for _ in range(1000)]) for _ in range(4)]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+libc = ctypes.CDLL(None)
+libc.malloc_info(0, ctypes.c_void_p.in_dll(libc, "stdout"))
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library has other heaps")
+@pytest.mark.parametrize("one", [True, False])
+def test_threads_share_a_heap(one: bool) -> None:
+    code = TELLS if one else TELLS.replace("holes = Holes()", "")
+    told = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    assert (told.count("<heap nr") == 1) is one

@@ -3,6 +3,7 @@
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -20,7 +21,7 @@ from app.serve import driver
 from app.serve.access import Access
 from app.serve.driver import Phase
 from app.serve.main import Page
-from app.serve.process import SILENT, Host, Order
+from app.serve.process import SILENT, URGENT, Host, Order
 from app.serve.remote import RemoteCell
 from app.serve.wire import Call, CutError, Pulse, Wire, slim, with_images
 from hrc.cell.cell import Cell
@@ -63,6 +64,16 @@ def moving(page: Page) -> VClient:
     client = VClient(page.server.get_port())
     until(lambda: client.ready.is_set() and client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.5, 60.0)
     return client
+
+
+def test_the_cell_goes_before_the_page_where_the_system_lets_it(served: Page) -> None:
+    """Every thread of it, for they share an interpreter."""
+    assert isinstance(served.session, RemoteCell)
+    until(lambda: served.session.status.phase is Phase.RUNNING, 60.0)
+    lets = subprocess.run([sys.executable, "-c", f"import os; os.nice({URGENT})"], stderr=subprocess.DEVNULL, check=False)
+    own, of_cell = os.getpriority(os.PRIO_PROCESS, 0), Path(f"/proc/{served.session.pid}/task").iterdir()
+    begun_later = {os.getpriority(os.PRIO_PROCESS, int(task.name)) for task in of_cell} - {own}
+    assert begun_later == ({own + URGENT} if lets.returncode == 0 else set())
 
 
 @pytest.mark.live
