@@ -9,11 +9,13 @@ import math
 import os
 import queue
 import signal
+import socket
 import time
 from collections import defaultdict
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any
+from urllib.parse import urlsplit
 
 from app.campaign.cluster import Cluster
 from app.campaign.episode import Episode, Record, play
@@ -85,6 +87,7 @@ def _remote(cluster: Cluster, stack: ExitStack) -> Any:
         tls = Security(tls_ca_file=str(cluster.tls_ca), tls_client_cert=str(cluster.tls_cert),
                        tls_client_key=str(cluster.tls_key), require_encryption=True)
     try:
+        _knock(cluster.address or "")
         client = stack.enter_context(Client(cluster.address, security=tls, timeout=PATIENCE))
     except (OSError, ValueError, RuntimeError) as error:
         how = "" if tls is None else " with TLS"  # one without would be asked by tcp://
@@ -95,6 +98,18 @@ def _remote(cluster: Cluster, stack: ExitStack) -> Any:
     except TimeoutError:
         raise CampaignError(f"the scheduler at {cluster.address} has no workers") from None
     return client
+
+
+def _knock(address: str) -> None:
+    """A Client that finds nobody leaves the thread of its loop behind. Raises OSError if nobody listens within PATIENCE."""
+    where, deadline = urlsplit(address), time.monotonic() + PATIENCE
+    while True:
+        try:
+            return socket.create_connection((where.hostname or "", where.port or 0), timeout=PATIENCE).close()
+        except OSError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(LOOK)
 
 
 def cores() -> int:

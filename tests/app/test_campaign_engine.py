@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -231,11 +232,13 @@ def _listens(port: int) -> bool:
 
 def test_an_unreachable_scheduler_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine_module, "PATIENCE", 1.0)
+    before = set(threading.enumerate())
     with socket.socket() as closed:
         closed.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{closed.getsockname()[1]}"
         with pytest.raises(CampaignError, match=f"no scheduler that answers at {address}"), engine(Cluster(address)):
             pass
+    assert set(threading.enumerate()) <= before
 
 
 @pytest.mark.parametrize(("cluster", "told"), [
