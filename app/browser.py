@@ -71,13 +71,22 @@ def launched(*flags: str, aside: bool = False) -> "Iterator[Browser]":
 
 
 def opened(browser: "Browser", url: str, watch: "Callable[[Page], None]" = lambda _: None) -> "Page":
-    """A tab with the page loaded and the robot drawn. url: with its token, where there is one. watch: sees the tab before."""
+    """A tab with the page loaded and the robot drawn. url: with its token, where there is one. watch: sees the tab before.
+
+    Raises TimeoutError if that takes longer than PATIENCE_MS.
+    """
+    from playwright.sync_api import TimeoutError as LateError
+
     tab = browser.new_context(viewport=VIEWPORT).new_page()
     watch(tab)
     tab.add_init_script(f"({LATE})()")
-    tab.goto(f"{url}{'&' if '?' in url else '?'}{COARSE}", wait_until="commit")
-    tab.wait_for_selector("#eb-banner", timeout=PATIENCE_MS)
-    tab.wait_for_function("() => window.__viserMutable?.nodeRefFromName?.['/robot/link_7']", timeout=PATIENCE_MS)
+    try:
+        tab.goto(f"{url}{'&' if '?' in url else '?'}{COARSE}", wait_until="commit", timeout=PATIENCE_MS)
+        tab.wait_for_selector("#eb-banner", timeout=PATIENCE_MS)
+        tab.wait_for_function("() => window.__viserMutable?.nodeRefFromName?.['/robot/link_7']", timeout=PATIENCE_MS)
+    except LateError:
+        raise TimeoutError(f"Chromium has not drawn the page within {PATIENCE_MS / 1e3:.0f} s: "
+                           "the machine is busy with something else, or too slow") from None
     return tab
 
 

@@ -121,7 +121,7 @@ def _row(audience: Audience, page: Page, pool: ProcessPoolExecutor, seconds: flo
         if audience.browser:
             try:
                 tab = opened(stack.enter_context(launched(aside=audience.raw > 0)), page.url)
-            except (FileNotFoundError, ModuleNotFoundError) as error:
+            except (FileNotFoundError, ModuleNotFoundError, TimeoutError) as error:
                 return {"name": audience.name, "missing": str(error)}
         watchers = audience.raw
         visits = pool.submit(visit, page.server.get_port(), watchers, seconds + 1.0, drive=audience.drive) if watchers else None
@@ -131,13 +131,14 @@ def _row(audience: Audience, page: Page, pool: ProcessPoolExecutor, seconds: flo
         time.sleep(2.0)
         if tab is not None:
             delays(tab)
-        before, begin, worst = by_part(cell.pid), cell.ask("told"), np.inf
+        before, drawn, begin, worst = by_part(cell.pid), page.tempo.beats, cell.ask("told"), np.inf
         for factor in _seconds(cell, seconds - 2.0):
             worst = min(worst, factor)
         end, spent = cell.ask("told"), by_part(cell.pid)
         passed = end.at - begin.at
         row = {"name": audience.name, "clients": audience.raw + audience.browser, "seconds": passed,
                "cores": {part: (spent[part] - before[part]) / passed for part in spent},
+               "pictures_per_s": (page.tempo.beats - drawn) / passed,
                "real_time_factor": (end.time - begin.time) / passed, "real_time_factor_worst_second": worst}
         row["page_cores"] = row["cores"]["publisher"] + row["cores"]["server"]
         if tab is not None:
@@ -182,6 +183,7 @@ def printed(figures: dict[str, Any]) -> Iterator[str]:
         used = row["cores"]
         yield (f"  cores: page {100 * row['page_cores']:.1f} % (publisher {100 * used['publisher']:.1f}, sockets and "
                f"callbacks {100 * used['server']:.1f}); cell {100 * used['cell']:.1f} %")
+        yield f"  pictures: {row['pictures_per_s']:.0f} a second"
         yield f"  real-time factor {row['real_time_factor']:.3f}, worst second {row['real_time_factor_worst_second']:.3f}"
         for key, name in (("input_to_force", "input to force"), ("publish_to_client", "publish to client"),
                           ("publish_to_dom", "publish to DOM")):

@@ -29,7 +29,8 @@ SPARE = 2
 class Sample:
     """time: since the start [s]. memory: resident [bytes]. factor: real-time factor since the sample before.
 
-    lost: simulated time that was dropped since then [s]. images: of depth that the recording dropped so far. visitors: now.
+    lost: what simulated time fell behind by since then [s]; some of it is made good later. images: of depth that the recording
+    dropped so far. visitors: now.
     """
 
     time: float
@@ -99,11 +100,12 @@ def summary(samples: Sequence[Sample]) -> dict[str, Any]:
 
     memory, descriptors, threads = medians("memory"), medians("descriptors"), medians("threads")
     seconds = np.diff([0.0, *(sample.time for sample in samples)])
+    factor = float(np.average([sample.factor for sample in samples], weights=seconds))
     return {
         "settled_after_s": settle, "memory_bytes": memory, "memory_growth": memory[1] / memory[0] - 1.0,
         "descriptors": descriptors, "threads": threads,
-        "real_time_factor": float(np.average([sample.factor for sample in samples], weights=seconds)),
-        "worst_factor": min(sample.factor for sample in samples), "lost_s": sum(sample.lost for sample in samples),
+        "real_time_factor": factor, "worst_factor": min(sample.factor for sample in samples),
+        "lost_s": max(0.0, 1.0 - factor) * float(seconds.sum()),
         "images_dropped": samples[-1].images, "samples": [asdict(sample) for sample in samples]}
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from app.browser import launched, opened
 
 STANDS = 60.0
-"""A page whose banner has not changed for so long stands still [s]. It changes ten times a second where there is time."""
+"""A page whose banner has not changed for so long stands still [s]. It changes several times a second where there is time."""
 
 
 def watch(url: str, number: int, ready: threading.Event, over: threading.Event, seconds: float) -> list[str]:

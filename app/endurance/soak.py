@@ -7,6 +7,7 @@ import contextlib
 import logging
 import multiprocessing
 import os
+import signal
 import sys
 import tempfile
 import threading
@@ -15,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
+from multiprocessing.managers import SyncManager
 from pathlib import Path
 from typing import IO, Any, TextIO
 
@@ -108,6 +110,7 @@ def soak(job: Job) -> list[str]:
     with contextlib.ExitStack() as stack:
         folder = job.out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="elbowroom-soak-")))
         folder.mkdir(parents=True, exist_ok=True)
+        stack.enter_context(_ends_well())
         found = _run(job, folder)
     found["faults"] = faults(found, found["errors"])
     for line in table(found):
@@ -115,6 +118,19 @@ def soak(job: Job) -> list[str]:
     if job.json is not None:
         write(job.json, found)
     return found["faults"]
+
+
+@contextlib.contextmanager
+def _ends_well() -> Iterator[None]:
+    """A SIGTERM ends it as Ctrl-C does: visitors and browsers go home, and what was seen until then is told."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _run(job: Job, folder: Path) -> dict[str, Any]:
@@ -131,8 +147,10 @@ def _run(job: Job, folder: Path) -> dict[str, Any]:
         while page.latest is None:
             time.sleep(0.1)
         context = multiprocessing.get_context("spawn")
-        pool = stack.enter_context(ProcessPoolExecutor(2, context, os.nice, (ELSEWHERE,)))
-        manager = stack.enter_context(context.Manager())
+        pool = stack.enter_context(ProcessPoolExecutor(2, context, _begin_elsewhere))
+        manager = SyncManager(ctx=context)
+        manager.start(_end_together)
+        stack.callback(manager.shutdown)
         ready, over, rests = (manager.Event() for _ in range(3))
         stack.callback(over.set)
         stack.callback(rests.set)
@@ -163,6 +181,19 @@ def _run(job: Job, folder: Path) -> dict[str, Any]:
                 "recording": recorded}
 
 
+def _begin_elsewhere() -> None:
+    """A process of visitors gives way to the page, as one on another machine would."""
+    os.nice(ELSEWHERE)
+    _end_together()
+
+
+def _end_together() -> None:
+    """This process ends with the one that started it, however that ended: no browser is left behind."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+
+
 def _await(ready: threading.Event, tabs: "Future[list[str]]") -> None:
     """Wait until the browsers see the arm. Raises what keeps them from it."""
     while not ready.wait(0.2):
@@ -188,7 +219,7 @@ def _once(errors: Sequence[str]) -> list[str]:
 def table(found: dict[str, Any]) -> Iterator[str]:
     """The lines of the report."""
     samples = [Sample(**sample) for sample in found["samples"]]
-    yield "    time s   memory MB  descr.  threads  factor  lost s  images dropped  visitors"
+    yield "    time s   memory MB  descr.  threads  factor  late s  images dropped  visitors"
     for sample in samples[:: max(1, len(samples) // ROWS)]:
         yield (f"{sample.time:10.0f}{sample.memory / 1e6:12.1f}{sample.descriptors:8}{sample.threads:9}{sample.factor:8.3f}"
                f"{sample.lost:8.2f}{sample.images:16}{sample.visitors:10}")

@@ -1,12 +1,16 @@
 """The soak tool: it sees what grows and what goes wrong; a short real run shows that all its parts act."""
 
 import logging
+import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from process import alive, children
+from vclient import until
 
 from app.endurance.health import GROWTH, Counted, Health, Sample, faults, summary
 from app.endurance.soak import Errors, Job, soak
@@ -101,6 +105,26 @@ def test_a_few_seconds_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert " push" in printed
     assert 1 <= len(list((tmp_path / "out").glob("*.rrd"))) <= 4
     assert (tmp_path / "soak.json").stat().st_size > 1000
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])
+def test_who_ends_it_early_leaves_nobody_behind(tmp_path: Path, end: signal.Signals) -> None:
+    out = tmp_path / "soak.json"
+    command = [sys.executable, "-m", "app", "soak", "--hours", "1", "--browsers", "0", "--json", str(out)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as running:
+        until(lambda: len(children(running.pid)) >= 4, 60.0)  # cell, visitors, and what they need
+        time.sleep(3.0)
+        started = children(running.pid)
+        running.send_signal(end)
+        running.wait(120.0)
+        until(lambda: not any(alive(process) for process in started), 30.0)
+        assert running.stdout is not None
+        told = running.stdout.read()
+    if end is signal.SIGTERM:
+        assert running.returncode == 1
+        assert "error: soak: KeyboardInterrupt" in told
+        assert out.exists()
 
 
 def test_a_time_that_is_none_is_refused() -> None:

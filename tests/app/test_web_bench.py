@@ -3,13 +3,16 @@
 import asyncio
 import threading
 import time
+from typing import Any
 
 import pytest
 from vclient import VClient, until
 
+from app import browser as browser_module
 from app.bench.cpu import by_part
 from app.bench.traffic import Metered, visit
 from app.bench.web import BUDGET, Felt, judged, printed
+from app.browser import opened
 from app.serve.main import Page
 from hrc.cell.cell import Cell
 from hrc.config import Config
@@ -25,6 +28,12 @@ def test_every_byte_is_counted_to_a_stream(served: Page) -> None:
     assert client.streams["/robot"] > 0
     assert client.streams["camera images"] > client.streams["banner and texts"] > 0
     assert all(0.0 <= late < 10.0 for late in client.late)
+
+
+def test_a_browser_that_does_not_get_there_is_a_sentence(chromium: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(browser_module, "PATIENCE_MS", 1000)
+    with pytest.raises(TimeoutError, match="has not drawn the page within 1 s: the machine is busy"):
+        opened(chromium, "data:text/html,nothing here")
 
 
 class Thin(Metered):
@@ -92,7 +101,8 @@ def test_cpu_time_goes_to_the_thread_that_spends_it() -> None:
 
 def test_what_is_outside_the_budget_is_said() -> None:
     row = {"name": "3 clients", "seconds": 1.0, "cores": {"publisher": 0.1, "server": 0.2, "cell": 0.4}, "page_cores": 0.3,
-           "real_time_factor": 0.995, "real_time_factor_worst_second": 0.99, "bytes_per_s": 1e6, "streams": {"/cloud": 1e6},
+           "pictures_per_s": 24.0, "real_time_factor": 0.995, "real_time_factor_worst_second": 0.99, "bytes_per_s": 1e6,
+           "streams": {"/cloud": 1e6},
            "input_to_force": {"p50_s": 0.001, "p95_s": 0.2, "max_s": 0.3, "number": 9}}
     figures = {"conditions": {"cores": 2, "python": "3", "scenario": "free", "seconds": 1.0}, "rows": [row]}
     outside = {line.split()[0] for line, verdict in judged(figures).items() if verdict.startswith("OUTSIDE")}
