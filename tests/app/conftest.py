@@ -31,6 +31,16 @@ def pytest_runtest_makereport(item: pytest.Item) -> Any:
     return report
 
 
+@pytest.fixture(scope="session", autouse=True)
+def all_pictures() -> Iterator[None]:
+    """A page of these tests shares its process with its visitors: what those spend is not the page's, and slows no picture."""
+    from app.serve import tempo
+
+    stock, tempo.SHARE = tempo.SHARE, 100.0
+    yield
+    tempo.SHARE = stock
+
+
 @pytest.fixture(scope="session")
 def pem(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Certificate and key for this machine."""
@@ -95,12 +105,19 @@ def serve() -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
 
 
 @pytest.fixture
-def raw(served: "Page") -> Iterator[VClient]:
+def moving(served: "Page") -> "Iterator[Page]":
+    """The page whose cell runs: while no test looks at it, it leaves the cores to pages of other tests."""
+    served.session.paused = False
+    yield served
+    served.session.paused = True
+
+
+@pytest.fixture
+def raw(moving: "Page") -> Iterator[VClient]:
     """A client of the freshly reset page, with the arm on its path; it drives."""
-    client = VClient(served.server.get_port())
+    client = VClient(moving.server.get_port())
     assert client.ready.wait(10.0)
     until(lambda: client.banner()["mode"] not in ("starting", "failed"), 120.0)
-    served.session.paused = False
     until(lambda: client.seat())
     until(lambda: client.seat()["operator"] == "" or client.drives())  # whoever was there before is leaving
     client.click("Resume") if client.banner()["mode"] == "stop" else None

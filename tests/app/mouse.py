@@ -12,6 +12,11 @@ ON_SCREEN = """([name, offset]) => {
 }"""
 
 
+COVERED = """([x, y]) => {
+  const top = document.elementFromPoint(x, y);
+  return top?.tagName === "CANVAS" ? "" : `<${top?.tagName.toLowerCase()} class="${top?.className}">`;
+}"""
+
 NEXT_BANNER = """(beat) => {
   const now = document.querySelector("#eb-banner")?.dataset.beat;
   return now !== undefined && now !== beat;
@@ -19,13 +24,18 @@ NEXT_BANNER = """(beat) => {
 
 
 def grab(tab: Any, node: str, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> list[float]:
-    """Press the button on a point of what is drawn, given in the frame of its node [m]; where that is on the screen."""
+    """Press the button on a point of what is drawn, given in the frame of its node [m]; where that is on the screen.
+
+    Raises AssertionError if something of the page lies over that point: there the mouse would do something else.
+    """
     tab.mouse.up()
     for _ in range(2):  # the page finds out what the mouse rests on in one of its next pictures
         x, y = tab.evaluate(ON_SCREEN, [node, list(offset)])
         tab.mouse.move(x, y)
         next_banner(tab)
         next_banner(tab)
+    over = tab.evaluate(COVERED, [x, y])
+    assert not over, f"{node} is on the screen at {x:.0f}, {y:.0f}, where {over} lies over it"
     tab.mouse.down()
     return [x, y]
 

@@ -21,3 +21,10 @@ def children(process: int) -> list[int]:
     """The processes that a process has started, and that have not ended."""
     tasks = Path(f"/proc/{process}/task").iterdir()
     return [int(child) for task in tasks for child in (task / "children").read_text().split()]
+
+
+def alive(process: int) -> bool:
+    """Whether it has not ended; one that waits for its parent to be told has."""
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    return False

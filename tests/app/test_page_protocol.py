@@ -208,6 +208,7 @@ def test_camera_images_show_measured_expected_and_remaining(raw: VClient) -> Non
 
 def test_an_image_that_has_not_changed_is_not_sent_again(raw: VClient) -> None:
     names = ("Depth image", "Robot as expected", "What is left")
+    until(lambda: raw.widget("Depth image"))  # without a frame it says that there is none yet
     raw.set("Ball", False)
     until(lambda: pixels(raw, "What is left").max() < 60)
     time, seen = number(raw, "time"), {name: image(raw, name) for name in names}

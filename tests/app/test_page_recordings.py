@@ -9,6 +9,7 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from mouse import ON_SCREEN, pushed
 from playwright.sync_api import expect
@@ -54,6 +55,7 @@ def test_what_follows_a_recording_is_about_that_one(served: Page, raw: VClient) 
         until(lambda: not raw.gui[raw.widget("Record")]["props"]["disabled"] and not recording(raw))
         raw.click("Record")
         until(lambda: archive.now is not None and archive.now.seconds > 0.1)
+        until(lambda: recording(raw) and not raw.gui[raw.widget("End the recording")]["props"]["disabled"])
         raw.click("End the recording")
         until(lambda: archive.now is None and len(archive.names()) > len(made))
         made.append(next(name for name in archive.names() if name not in made))
@@ -110,15 +112,26 @@ def test_nothing_is_recorded_while_another_cell_is_built(served: Page, raw: VCli
 
 
 @pytest.mark.live
-def test_the_recorder_is_loaded_some_time_after_the_robot_moves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_recorder_is_loaded_when_the_arm_has_been_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     loaded: list[float] = []
-    warm = RemoteArchive.warm
-    monkeypatch.setattr(RemoteArchive, "warm", lambda archive: (warm(archive), loaded.append(page.session.healthy)))
-    monkeypatch.setattr(recordings, "LOAD_AFTER", 0.2)
+    monkeypatch.setattr(recordings, "LOAD_AFTER", 1e9)
     page = Page("free", Access(port=0), say=lambda _: None, recordings=tmp_path / "recordings")
+    archive = page.recordings.archive
+    assert isinstance(archive, RemoteArchive)
+    warm = archive.warm
+    monkeypatch.setattr(archive, "warm", lambda: (warm(), loaded.append(page.session.healthy)))
     page.start()
     client = VClient(page.server.get_port())
     try:
+        until(lambda: client.ready.is_set() and client.banner()["mode"] == "idle" and client.seat(), 120.0)
+        point = client.position("/robot/link_4")
+        client.drag("/robot/link_4", "start", point, point)
+        client.drag("/robot/link_4", "update", point, point + np.array([0.0, 0.2, 0.0]))
+        until(lambda: float(client.banner()["truth"]) > 8.0)
+        monkeypatch.setattr(recordings, "LOAD_AFTER", 0.2)
+        time.sleep(1.0)
+        assert not loaded
+        client.drag("/robot/link_4", "end", point, point)
         until(lambda: loaded, 60.0)
         until(lambda: float(client.banner()["time"]) > 1.0, 30.0)
         assert loaded == [True]

@@ -40,6 +40,15 @@ LOST = 0.5
 """What a kill may cost [s]."""
 
 
+def given_back(folder: Path) -> bool:
+    """Whether nobody writes there any more."""
+    try:
+        with output.claimed(folder):
+            return True
+    except OutputError:
+        return False
+
+
 @pytest.mark.live
 def test_a_page_that_is_killed_leaves_a_session_that_runs_again(tmp_path, capsys):
     with socket.create_server(("127.0.0.1", 0)) as listener:
@@ -63,6 +72,7 @@ def test_a_page_that_is_killed_leaves_a_session_that_runs_again(tmp_path, capsys
         finally:
             for number in (*children(process.pid), process.pid):  # the cell's, which records, at the same time
                 os.kill(number, signal.SIGKILL)
+    until(lambda: given_back(folder))  # only its parent, which is dead, could wait for the cell's process
     with pytest.raises(SystemExit) as exit_:
         main(["replay", str(folder), "--exact"])
     told = capsys.readouterr()
