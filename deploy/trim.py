@@ -16,15 +16,15 @@ SOURCES = ("a", "c", "cpp", "cxx", "f", "f90", "h", "hpp", "pxd", "pxi", "pyi", 
 UNUSED = {
     "C++ headers, build files, documents, programs":
         ("cmeel.prefix/include", "cmeel.prefix/lib/cmake", "cmeel.prefix/lib/*/cmake", "cmeel.prefix/lib/pkgconfig",
-         "cmeel.prefix/share/doc", "cmeel.prefix/bin", "pyarrow/include", "pyarrow/src", "numpy/_core/include", "mujoco/doc",
-         "viser/client/src", "mujoco/introspect", "*.dist-info/sboms", "*.dist-info/RECORD"),
+         "cmeel.prefix/share/doc", "cmeel.prefix/bin", "pyarrow/include", "pyarrow/src", "numpy/_core/include",
+         "mujoco/doc", "viser/client/src", "mujoco/introspect", "*.dist-info/sboms", "*.dist-info/RECORD"),
     "tests and examples":
         ("*/tests", "numpy/**/tests", "scipy/**/tests", "matplotlib/**/tests", "dask/**/tests", "distributed/**/tests",
          "mujoco/*_test.py", "mujoco/testdata", "pyarrow/_pyarrow_cpp_tests*", "warp/examples",
          "matplotlib/mpl-data/sample_data", "tornado/test"),
     "Rerun's program with its viewers; `review` needs it, and recordings are looked at outside": ("rerun_cli",),
-    "MuJoCo's windows and its OpenGL, for which an image without graphics has no library":
-        ("mujoco/studio", "mujoco/_render_filament*", "mujoco/usd", "OpenGL", "glfw"),
+    "MuJoCo's plugins, of which no model makes use, its windows and OpenGL, for which an image without graphics has no library":
+        ("mujoco/plugin", "mujoco/studio", "mujoco/_render_filament*", "mujoco/usd", "OpenGL", "glfw"),
     "Arrow's way to servers and clouds":
         ("pyarrow/libarrow_flight*", "pyarrow/*_flight*", "pyarrow/libarrow_s3*", "pyarrow/_s3fs*",
          "pyarrow/_gcsfs*", "pyarrow/_azurefs*", "pyarrow/_hdfs*"),
