@@ -27,6 +27,8 @@ CAMERA = {"type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position
           "near": 0.01, "far": 100.0, "image_height": 600, "image_width": 800, "look_at": (0.0, 0.0, 0.0),
           "up_direction": (0.0, 0.0, 1.0)}
 
+PATIENCE = 60.0
+"""How long what must come is waited for [s]: a page among others on two slow cores is a minute late at times."""
 ELSEWHERE = 15
 """Niceness of a process of clients: they stand for people at machines of their own."""
 
@@ -227,13 +229,13 @@ class Client:
         self.send({"type": "TransformControlsUpdateMessage", "name": name, "wxyz": list(wxyz),
                    "position": list(position), "owner": ""})
 
-    def wait(self, condition: Callable[[], Any], timeout: float = 15.0) -> None:
+    def wait(self, condition: Callable[[], Any], timeout: float = PATIENCE) -> None:
         """Until the condition holds; what is not there yet counts as no."""
         until(condition, timeout)
 
 
-def until(condition: Callable[[], Any], timeout: float = 15.0, pause: float = 0.01) -> None:
-    """Wait for a condition. Raises TimeoutError; a KeyError inside counts as not yet."""
+def until(condition: Callable[[], Any], timeout: float = PATIENCE, pause: float = 0.01) -> None:
+    """Wait for a condition, at most so long [s]. Raises TimeoutError; a KeyError inside counts as not yet."""
     deadline = time.monotonic() + timeout
     while time.monotonic() < deadline:
         with contextlib.suppress(KeyError):

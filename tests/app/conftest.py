@@ -1,5 +1,6 @@
 """The page under test: one server with one cell for the whole session, and clients that come and go."""
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -10,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from small_campaign import SHORT
 from target import TOKEN, WATCH
-from vclient import VClient, until
+from vclient import PATIENCE, VClient, until
 
-from app.browser import COARSE, FLAGS, VIEWPORT, executable
+from app.browser import COARSE, FLAGS, PATIENCE_MS, VIEWPORT, executable
 
 if TYPE_CHECKING:
     from app.serve.main import Page
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        if isinstance(item, pytest.Function) and {"served", "keyed", "chromium"} & set(item.fixturenames):
+        if isinstance(item, pytest.Function) and {"served", "keyed", "browser"} & set(item.fixturenames):
             item.add_marker(pytest.mark.live)
 
 
@@ -115,30 +116,29 @@ def moving(served: "Page") -> "Iterator[Page]":
 @pytest.fixture
 def raw(moving: "Page") -> Iterator[VClient]:
     """A client of the freshly reset page, with the arm on its path; it drives."""
-    client = VClient(moving.server.get_port())
-    assert client.ready.wait(10.0)
-    until(lambda: client.banner()["mode"] not in ("starting", "failed"), 120.0)
-    until(lambda: client.seat())
-    until(lambda: client.seat()["operator"] == "" or client.drives())  # whoever was there before is leaving
-    client.click("Resume") if client.banner()["mode"] == "stop" else None
-    until(lambda: float(client.banner()["time"]) > 0.3)
-    before = float(client.banner()["time"])
-    client.set("Simulation", "Reset")
-    until(lambda: float(client.banner()["time"]) < before)
-    until(lambda: client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.3)
-    yield client
-    client.close()
+    with contextlib.closing(VClient(moving.server.get_port())) as client:
+        until(client.ready.is_set)
+        until(lambda: client.banner()["mode"] not in ("starting", "failed"), 120.0)
+        until(lambda: client.seat())
+        until(lambda: client.seat()["operator"] == "" or client.drives())  # whoever was there before is leaving
+        client.click("Resume") if client.banner()["mode"] == "stop" else None
+        until(lambda: float(client.banner()["time"]) > 0.3)
+        before = float(client.banner()["time"])
+        client.set("Simulation", "Reset")
+        until(lambda: float(client.banner()["time"]) < before)
+        until(lambda: client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.3)
+        yield client
 
 
 @pytest.fixture(scope="session")
-def chromium() -> Iterator[Any]:
+def browser() -> Iterator[Any]:
     path = executable()
     if path is None:
         message = "no Chromium on this machine: the browser tests need one (Debian: apt install chromium)"
         pytest.fail(message) if os.environ.get("CI") == "true" else pytest.skip(message)
     from playwright.sync_api import expect, sync_playwright
 
-    expect.set_options(timeout=30_000)
+    expect.set_options(timeout=1e3 * PATIENCE)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, headless=True, args=FLAGS)
         yield browser
@@ -146,22 +146,47 @@ def chromium() -> Iterator[Any]:
 
 
 @pytest.fixture
-def tab(chromium: Any, served: "Page", raw: VClient, request: Any, tmp_path: Path) -> Iterator[Any]:
+def chromium(browser: Any) -> Iterator[Any]:
+    """A browser whose tabs end with the test, however it ends: one that were left would take the cores from all that follow."""
+    yield browser
+    for context in browser.contexts:
+        context.close()
+
+
+@pytest.fixture
+def another(browser: Any) -> Iterator[Callable[..., Any]]:
+    """Starts a browser beside it, with more flags; it ends with the test."""
+    with contextlib.ExitStack() as started:
+        yield lambda *flags: started.enter_context(
+            browser.browser_type.launch(executable_path=executable(), headless=True, args=[*FLAGS, *flags]))
+
+
+@pytest.fixture
+def new_tab(chromium: Any) -> Callable[..., Any]:
+    """Makes an empty tab of a visitor whom the browser has not seen before; with the options of a context, if need be."""
+
+    def new(**options: Any) -> Any:
+        context = chromium.new_context(**{"viewport": VIEWPORT, **options})
+        context.set_default_timeout(1e3 * PATIENCE)
+        return context.new_page()
+
+    return new
+
+
+@pytest.fixture
+def tab(new_tab: Callable[..., Any], served: "Page", raw: VClient, request: Any, tmp_path: Path) -> Iterator[Any]:
     """A browser tab with the page loaded and the robot drawn; small and coarse, because a CPU renders it. `raw` has given
     up the seat, so that whoever acts first drives.
     """
     raw.hand_back()
-    context = chromium.new_context(viewport=VIEWPORT)
-    context.set_default_timeout(30_000)
-    tab, console = context.new_page(), []
+    tab, console = new_tab(), []
     tab.on("console", lambda message: console.append(f"{message.type}: {message.text}"))
     tab.on("pageerror", lambda error: console.append(f"pageerror: {error}"))
     tab.goto(f"{served.url}?{COARSE}", wait_until="commit")
-    tab.wait_for_selector("#eb-banner")
-    tab.wait_for_function("() => window.__viserMutable?.nodeRefFromName?.['/robot/link_7']")
+    tab.wait_for_selector("#eb-banner", timeout=PATIENCE_MS)
+    tab.wait_for_function("() => window.__viserMutable?.nodeRefFromName?.['/robot/link_7']", timeout=PATIENCE_MS)
     yield tab
     if request.node.report_call.failed:
         tab.screenshot(path=str(tmp_path / "page.png"))
         (tmp_path / "console.txt").write_text("\n".join(console))
         print(f"screenshot and console: {tmp_path}")
-    context.close()

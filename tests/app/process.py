@@ -1,9 +1,22 @@
-"""A page in a process of its own."""
+"""Processes that tests start."""
 
 import contextlib
 import socket
+import subprocess
 import urllib.request
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
+
+
+@contextlib.contextmanager
+def launched(command: Sequence[object], **options: Any) -> Iterator["subprocess.Popen[str]"]:
+    """A running command, with the options of Popen. It ends with the block: if it stayed it would keep a core to itself."""
+    with subprocess.Popen([*map(str, command)], text=True, **options) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 def free_port() -> int:

@@ -56,7 +56,7 @@ class Target:
     def client(self, token: str = TOKEN) -> VClient:
         """Somebody who was let in."""
         client = VClient(self.port, headers={"Authorization": f"Bearer {token}"})
-        assert client.ready.wait(5.0)
+        until(client.ready.is_set)
         until(lambda: client.widget("STOP"))
         return client
 
@@ -92,7 +92,7 @@ class Target:
         uuid = other.widget("STOP")
         other.send(message("GuiUpdateMessage", uuid=uuid, updates={"value": True}))
         try:
-            until(lambda: self.heard.count("stop") > before, 2.0)
+            until(lambda: self.heard.count("stop") > before, 10.0)
         except TimeoutError:
             return True
         finally:

@@ -20,14 +20,14 @@ ELBOW, BALL = "/robot/link_4", "/gizmos/ball"
 def onlooker(keyed: Page) -> Iterator[VClient]:
     """Somebody who watches, and sees whether the page is well."""
     client = join(keyed, WATCH)
-    until(lambda: client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.3, 60.0)
+    until(lambda: client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.3)
     yield client
     client.close()
 
 
 def join(page: Page, token: str = TOKEN) -> VClient:
     client = VClient(page.server.get_port(), headers=authorized(token))
-    assert client.ready.wait(10.0)
+    until(client.ready.is_set)
     until(lambda: client.seat() and client.banner() and client.position(ELBOW) is not None)
     return client
 
@@ -51,13 +51,13 @@ def test_socket_that_stalls_in_mid_drag_lets_go_and_slows_nobody(keyed: Page, on
     until(lambda: float(onlooker.banner()["truth"]) > 8.0)
     stalled.freeze(thawed)
     beat, begin = int(onlooker.banner()["beat"]), time.monotonic()
-    until(lambda: float(onlooker.banner()["truth"]) == 0.0, 8.0)
+    until(lambda: float(onlooker.banner()["truth"]) == 0.0)
     until(lambda: time.monotonic() > begin + 4.0)
     rate = (int(onlooker.banner()["beat"]) - beat) / (time.monotonic() - begin)
     assert rate > 5.0, "of the ten banners a second"
     other = join(keyed)
     other.click("Take control")
-    until(other.drives, 5.0)
+    until(other.drives)
     thawed.set()
     other.close()
     stalled.close()
@@ -68,7 +68,7 @@ def test_line_that_is_torn_in_mid_drag_lets_go_and_frees_the_seat(keyed: Page, o
     grab(torn)
     until(lambda: float(onlooker.banner()["truth"]) > 8.0)
     torn.tear()
-    until(lambda: float(onlooker.banner()["truth"]) == 0.0 and keyed.guard.seat.operator is None, 2.0)
+    until(lambda: float(onlooker.banner()["truth"]) == 0.0 and keyed.guard.seat.operator is None)
     until(lambda: onlooker.banner()["mode"] == "idle")
 
 
@@ -81,7 +81,7 @@ def test_an_obstacle_stays_where_it_is_when_who_drags_it_into_the_arm_is_torn_of
     until(lambda: float(onlooker.banner()["truth"]) > 8.0)
     assert distance(onlooker) > 0.1
     torn.tear()
-    until(lambda: keyed.guard.seat.operator is None and distance(onlooker) < 0.03, 3.0)
+    until(lambda: keyed.guard.seat.operator is None and distance(onlooker) < 0.03)
     keyed.session.reset()
     until(lambda: onlooker.banner()["mode"] == "idle" and float(onlooker.banner()["time"]) < 5.0)
 
@@ -94,7 +94,7 @@ def test_an_obstacle_stays_where_it_is_when_the_browser_that_drags_it_freezes(ke
     stalled.gizmo(BALL, (beside - np.array([0.0, 0.6, 0.0])).tolist())
     until(lambda: float(onlooker.banner()["truth"]) > 8.0)
     stalled.freeze(thawed)
-    until(lambda: distance(onlooker) < 0.03, 8.0)
+    until(lambda: distance(onlooker) < 0.03)
     until(lambda: "the browser that held the ball does not answer" in onlooker.text())
     thawed.set()
     stalled.close()
@@ -112,8 +112,8 @@ def test_twenty_visitors_come_and_go_and_leave_nothing_behind(keyed: Page, onloo
     threads, free = threading.active_count(), len(keyed.guard._free)
     visitors = [VClient(keyed.server.get_port(), headers=authorized(TOKEN)) for _ in range(20)]
     for visitor in visitors:
-        assert visitor.ready.wait(20.0)
-    until(lambda: all(visitor.seat() for visitor in visitors), 20.0)
+        until(visitor.ready.is_set)
+    until(lambda: all(visitor.seat() for visitor in visitors))
     for visitor in visitors[:10]:
         visitor.click("Take control")
     until(lambda: keyed.guard.seat.operator is not None)
@@ -121,10 +121,10 @@ def test_twenty_visitors_come_and_go_and_leave_nothing_behind(keyed: Page, onloo
         visitor.tear()
     for visitor in visitors[1::2]:
         visitor.close()
-    until(lambda: len(keyed.server.get_clients()) == 1, 20.0)
+    until(lambda: len(keyed.server.get_clients()) == 1)
     until(lambda: keyed.guard.seat.operator is None and keyed.guard.seat.asking is None)
     until(lambda: len(keyed.guard._free) == free)
-    until(lambda: threading.active_count() <= threads + 2, 20.0)
+    until(lambda: threading.active_count() <= threads + 2)
     beat = int(onlooker.banner()["beat"])
     until(lambda: int(onlooker.banner()["beat"]) > beat + 5)
     assert onlooker.seat()["operator"] == ""
@@ -157,7 +157,7 @@ def test_page_takes_fuzzed_messages_from_an_operator_and_stays_well(
     mender.set("Speed", 1.0)
     if mender.banner()["mode"] == "stop":
         mender.click("Resume")
-    until(lambda: onlooker.banner()["mode"] == "idle" and onlooker.banner()["paused"] == "false", 20.0)
+    until(lambda: onlooker.banner()["mode"] == "idle" and onlooker.banner()["paused"] == "false")
     until(lambda: runs(onlooker))
     assert all(math.isfinite(float(onlooker.banner()[key])) for key in ("force", "truth", "time", "factor"))
     assert not onlooker.closed.is_set()

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from process import launched
 
 from app.__main__ import main
 from app.campaign import command as command_module
@@ -126,10 +127,8 @@ def lines(out: Path) -> int:
 def test_killed_halfway_and_begun_again_it_has_the_records_of_an_undisturbed_run(
         file: Path, expected: dict[int, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    first = subprocess.Popen(command(file, out, "--workers", 1), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    wait(lambda: lines(out) >= len(expected) / 2)
-    first.send_signal(signal.SIGKILL)
-    first.wait()
+    with launched(command(file, out, "--workers", 1), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL):
+        wait(lambda: lines(out) >= len(expected) / 2)
     before = lines(out)
     assert before < len(expected)
     main(command(file, out, "--workers", 2, "--record", 1)[3:])

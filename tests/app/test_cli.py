@@ -7,6 +7,7 @@ import sys
 import time
 
 import pytest
+from process import launched
 
 from app.__main__ import main
 from app.settings import configured, parse, table
@@ -111,14 +112,14 @@ def test_ctrl_c_leaves_a_valid_partial_result(tmp_path, number):
     from app.record.signals import read_parquet
 
     out = tmp_path / "out"
-    process = subprocess.Popen([sys.executable, "-m", "app", "run", "free", "--out", str(out), "--duration", "600",
-                                "--depth", "none"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     recording = tmp_path / ".out.partial" / "session.rrd"
-    deadline = time.monotonic() + 120
-    while not (recording.exists() and recording.stat().st_size > 1_000_000) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    process.send_signal(number)
-    told, errors = process.communicate(timeout=60)
+    with launched([sys.executable, "-m", "app", "run", "free", "--out", out, "--duration", 600, "--depth", "none"],
+                  stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        deadline = time.monotonic() + 120
+        while not (recording.exists() and recording.stat().st_size > 1_000_000) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        process.send_signal(number)
+        told, errors = process.communicate(timeout=60)
     assert process.returncode == 130, errors
     assert "interrupted" in told
     assert "Traceback" not in errors

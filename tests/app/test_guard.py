@@ -61,7 +61,7 @@ class Bench:
     def client(self, **options: Any) -> VClient:
         """A connected client."""
         client = VClient(self.port, **options)
-        assert client.ready.wait(5.0)
+        until(client.ready.is_set)
         until(lambda: client.widget("STOP"))
         return client
 

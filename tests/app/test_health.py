@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from process import launched
 from vclient import VClient, until
 
 from app import health
@@ -62,7 +63,7 @@ def test_health_follows_the_cell_and_tells_nothing_else(monkeypatch: pytest.Monk
         assert headers.items() >= {name: value for name, value in SECURITY_HEADERS.items() if "{" not in value}.items()
         assert asked(port, "evil.example")[0] == 403, "a foreign name gets nothing"
         page.start()
-        until(lambda: page.session.status.phase is Phase.RUNNING and page.session.factor > 0.0, 60.0)
+        until(lambda: page.session.status.phase is Phase.RUNNING and page.session.factor > 0.0)
         assert asked(port)[:2] == (200, b"ok\n")
         assert health.main(url) == 0
         watcher = VClient(port, path=f"/?token={'w' * 20}")
@@ -97,11 +98,9 @@ def served_process(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], int,
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     command = [sys.executable, "-m", "app", "serve", "--port", str(port), "--recordings", str(tmp_path / "recordings")]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-                               env={**os.environ, "no_proxy": "", "http_proxy": "http://127.0.0.1:9"})
-    yield process, port, tmp_path / "recordings"
-    process.kill()
-    process.wait()
+    surroundings = {**os.environ, "no_proxy": "", "http_proxy": "http://127.0.0.1:9"}
+    with launched(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=surroundings) as process:
+        yield process, port, tmp_path / "recordings"
 
 
 @pytest.mark.live
@@ -110,10 +109,10 @@ def test_a_page_that_records_closes_the_recording_when_it_is_told_to_stop(
         served_process: tuple[subprocess.Popen[str], int, Path], number: signal.Signals) -> None:
     process, port, recordings = served_process
     url = f"http://127.0.0.1:{port}/healthz"
-    until(lambda: health.main(url) == 0, 60.0)
+    until(lambda: health.main(url) == 0)
     client = VClient(port)
-    assert client.ready.wait(10.0)
-    until(lambda: client.banner()["mode"] == "idle", 60.0)
+    until(client.ready.is_set)
+    until(lambda: client.banner()["mode"] == "idle")
     client.click("Record")
     until(lambda: 'data-recording="true"' in client.text())
     time.sleep(1.0)
@@ -141,11 +140,11 @@ def test_a_page_that_records_closes_the_recording_when_it_is_told_to_stop(
 
 def test_a_signal_while_the_page_is_loading_is_not_lost(tmp_path: Path) -> None:
     command = [sys.executable, "-u", "-m", "app", "serve", "--port", "0", "--recordings", str(tmp_path)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    assert process.stdout.readline() == "loading ...\n"
-    process.send_signal(signal.SIGTERM)
-    told, _ = process.communicate(timeout=60.0)
+    with launched(command, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "loading ...\n"
+        process.send_signal(signal.SIGTERM)
+        told, _ = process.communicate(timeout=60.0)
     assert process.returncode == 0
     assert "stopping ..." in told
 

@@ -2,6 +2,7 @@
 
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -12,7 +13,7 @@ from mouse import grab, pull, pushed
 from playwright.sync_api import expect
 from vclient import VClient, until
 
-from app.browser import FLAGS, executable, opened
+from app.browser import opened
 from app.serve.main import Page
 
 pytestmark = pytest.mark.browser
@@ -105,16 +106,16 @@ def _command(folder: Path) -> str:
         return ""
 
 
-def test_a_browser_that_is_killed_in_mid_drag_lets_go_and_frees_the_seat(chromium: Any, served: Page, raw: VClient) -> None:
+def test_a_browser_that_is_killed_in_mid_drag_lets_go_and_frees_the_seat(
+        another: Callable[..., Any], served: Page, raw: VClient) -> None:
     raw.hand_back()
     flag = f"--elbowroom-{os.getpid()}"
-    doomed = chromium.browser_type.launch(executable_path=executable(), headless=True, args=[*FLAGS, flag])
-    tab = opened(doomed, served.url)
+    tab = opened(another(flag), served.url)
     assert any(pull(tab, grab(tab, ELBOW), (2.0, 0.0), "b.truth > 8") for _ in range(4))
     assert served.guard.seat.operator is not None
     assert float(raw.banner()["truth"]) > 0.0
     assert killed(flag)
-    until(lambda: float(raw.banner()["truth"]) == 0.0 and served.guard.seat.operator is None, 2.0)
+    until(lambda: float(raw.banner()["truth"]) == 0.0 and served.guard.seat.operator is None)
     until(lambda: raw.banner()["mode"] == "idle")
 
 
@@ -170,16 +171,16 @@ def test_escape_stops_the_arm_from_anywhere_and_it_stays_stopped(tab: Any) -> No
     expect(banner).to_have_attribute("data-mode", "idle")
 
 
-def test_policy_lets_the_page_work_and_talk_to_no_other_host(chromium: Any, served: Page, raw: VClient) -> None:
+def test_policy_lets_the_page_work_and_talk_to_no_other_host(
+        new_tab: Callable[..., Any], served: Page, raw: VClient) -> None:
     raw.hand_back()
-    context, asked = chromium.new_context(viewport={"width": 1000, "height": 620}), set[str]()
-    context.add_init_script(f"({COVERS})()")
-    tab, errors = context.new_page(), list[str]()
+    tab, asked, errors = new_tab(), set[str](), list[str]()
+    tab.add_init_script(f"({COVERS})()")
     tab.on("pageerror", lambda error: errors.append(error.message))
     tab.on("request", lambda request: asked.add(urlsplit(request.url).netloc))
     reply = tab.goto(f"{served.url}?fixedDpr=0.25", wait_until="commit")
     assert "default-src 'none'" in reply.headers["content-security-policy"]
-    tab.wait_for_function("() => window.__viserMutable?.nodeRefFromName?.['/robot/link_7']", timeout=30_000)
+    tab.wait_for_function("() => window.__viserMutable?.nodeRefFromName?.['/robot/link_7']")
     expect(tab.locator('img[src^="blob:"]')).to_have_count(3)
     tab.wait_for_function("() => [...document.querySelectorAll('img[src^=\"blob:\"]')].every(i => i.naturalWidth > 100)")
     assert errors == []
@@ -188,7 +189,6 @@ def test_policy_lets_the_page_work_and_talk_to_no_other_host(chromium: Any, serv
     # The client's sorter of Gaussian splats wants eval; there are none on this page.
     assert set(tab.evaluate("() => window.broken")) - {"script-src eval"} == {"connect-src http://192.0.2.1/"}
     assert asked <= {urlsplit(served.url).netloc, ""}
-    context.close()
 
 
 def test_second_visitor_watches_until_it_is_handed_the_seat(tab: Any, raw: VClient) -> None:

@@ -234,7 +234,7 @@ def test_the_demo_tells_what_happens(raw: VClient) -> None:
         return ""
 
     raw.set("Scenario", "push")
-    until(lambda: raw.banner()["mode"] == "relax", 30.0)
+    until(lambda: raw.banner()["mode"] == "relax")
     raw.click("Guided demo")
     until(lambda: "draws a hexagon" in caption())
     assert raw.value("Scenario") == "free", "the one that the demo has opened"

@@ -64,18 +64,18 @@ def test_hard_pull_aborts_and_the_arm_returns(raw: VClient) -> None:
 
 def test_leaving_lets_go(served: Page, raw: VClient) -> None:
     visitor = VClient(served.server.get_port())
-    assert visitor.ready.wait(5.0)
+    until(visitor.ready.is_set)
     until(lambda: elbow(visitor) is not None)
     raw.hand_back()
     pull(visitor, 0.2)
     until(lambda: number(raw, "truth") > 8.0)
     visitor.close()
-    until(lambda: number(raw, "truth") == 0.0, 5.0)
+    until(lambda: number(raw, "truth") == 0.0)
 
 
 def test_silent_browser_lets_go(served: Page, raw: VClient) -> None:
     visitor = VClient(served.server.get_port())
-    assert visitor.ready.wait(5.0)
+    until(visitor.ready.is_set)
     until(lambda: elbow(visitor) is not None)
     raw.hand_back()
     pull(visitor, 0.2)
@@ -84,7 +84,7 @@ def test_silent_browser_lets_go(served: Page, raw: VClient) -> None:
     until(lambda: number(raw, "time") > time + 2.0)
     assert number(raw, "truth") > 8.0, "a mouse held still keeps pulling while its browser answers"
     visitor.alive = False
-    until(lambda: number(raw, "truth") == 0.0, 6.0)
+    until(lambda: number(raw, "truth") == 0.0)
     until(lambda: "does not answer" in raw.text())
     visitor.close()
 
@@ -322,10 +322,10 @@ def test_what_the_cell_refuses_is_in_the_log(raw: VClient) -> None:
 
 def test_choosing_a_scenario_starts_another_cell(raw: VClient) -> None:
     raw.set("Scenario", "push")
-    until(lambda: raw.banner()["mode"] == "relax", 30.0)
+    until(lambda: raw.banner()["mode"] == "relax")
     time = number(raw, "time")
     raw.set("Scenario", "free")
-    until(lambda: number(raw, "time") < time and raw.banner()["mode"] == "idle", 30.0)
+    until(lambda: number(raw, "time") < time and raw.banner()["mode"] == "idle")
 
 
 def test_a_device_that_is_not_there_is_refused_before_anything_is_served() -> None:
@@ -343,11 +343,11 @@ def broken() -> Iterator[Page]:
 
 def test_cell_that_fails_leaves_the_page_standing(broken: Page) -> None:
     client = VClient(broken.server.get_port())
-    assert client.ready.wait(5.0)
-    until(lambda: client.banner()["mode"] == "failed", 30.0)
+    until(client.ready.is_set)
+    until(lambda: client.banner()["mode"] == "failed")
     assert "cannot reach" in client.text()
     client.click("STOP (Esc)")
     until(lambda: "not running" in client.text())
     client.set("Simulation", "Reset")
-    until(lambda: client.banner()["mode"] == "failed", 30.0)
+    until(lambda: client.banner()["mode"] == "failed")
     client.close()

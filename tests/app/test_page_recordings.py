@@ -91,24 +91,24 @@ def test_a_cell_that_makes_room_for_another_ends_its_recording_and_says_so(serve
     raw.click("Record")
     until(lambda: archive.now is not None and archive.now.seconds > 0.1)
     raw.set("Scenario", "push")
-    until(lambda: "another cell has begun" in raw.text(), 60.0)
+    until(lambda: "another cell has begun" in raw.text())
     (name,) = archive.names()
     assert look(archive.root / name / "session.rrd").torn == 0
     archive.delete(name)
     raw.set("Scenario", "free")
-    until(lambda: raw.banner()["mode"] == "idle", 60.0)
+    until(lambda: raw.banner()["mode"] == "idle")
 
 
 def test_nothing_is_recorded_while_another_cell_is_built(served: Page, raw: VClient) -> None:
     served.session.open("push")
     raw.click("Record")
     until(lambda: "there is nothing to record" in raw.text())
-    until(lambda: raw.banner()["mode"] == "idle", 60.0)
+    until(lambda: raw.banner()["mode"] == "idle")
     assert served.recordings.archive.now is None
     assert served.recordings.archive.names() == []
     raw.set("Scenario", "free")
-    until(lambda: raw.banner()["mode"] == "starting", 60.0)
-    until(lambda: raw.banner()["mode"] == "idle", 60.0)
+    until(lambda: raw.banner()["mode"] == "starting")
+    until(lambda: raw.banner()["mode"] == "idle")
 
 
 @pytest.mark.live
@@ -132,8 +132,8 @@ def test_the_recorder_is_loaded_when_the_arm_has_been_left_alone(tmp_path: Path,
         time.sleep(1.0)
         assert not loaded
         client.drag("/robot/link_4", "end", point, point)
-        until(lambda: loaded, 60.0)
-        until(lambda: float(client.banner()["time"]) > 1.0, 30.0)
+        until(lambda: loaded)
+        until(lambda: float(client.banner()["time"]) > 1.0)
         assert loaded == [True]
     finally:
         client.close()

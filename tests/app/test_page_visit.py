@@ -2,6 +2,7 @@
 
 import http.client
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from mouse import ON_SCREEN, next_banner
 from playwright.sync_api import expect
 from vclient import VClient
 
-from app.browser import COARSE, FLAGS, executable
+from app.browser import COARSE, VIEWPORT
 from app.serve.main import Page
 from app.settings import read
 
@@ -102,12 +103,12 @@ def test_a_click_on_a_link_shows_its_numbers_and_dragging_it_still_pushes(tab: A
     expect(banner).to_have_attribute("data-truth", "0.00")
 
 
-def test_on_a_phone_the_sheet_is_as_wide_as_the_screen_and_the_arm_above_it(chromium: Any, served: Page, raw: VClient) -> None:
+def test_on_a_phone_the_sheet_is_as_wide_as_the_screen_and_the_arm_above_it(
+        new_tab: Callable[..., Any], served: Page, raw: VClient) -> None:
     raw.hand_back()
-    context = chromium.new_context(viewport={"width": 390, "height": 844}, is_mobile=True, has_touch=True)
-    tab = context.new_page()
+    tab = new_tab(viewport={"width": 390, "height": 844}, is_mobile=True, has_touch=True)
     tab.goto(f"{served.url}?{COARSE}", wait_until="commit")
-    tab.wait_for_function(DRAWN, timeout=60_000)
+    tab.wait_for_function(DRAWN)
     expect(tab.locator("#eb-banner")).to_have_attribute("data-mode", "idle")
     stop = tab.get_by_role("button", name="STOP")
     expect(stop).to_be_in_viewport()
@@ -121,13 +122,11 @@ def test_on_a_phone_the_sheet_is_as_wide_as_the_screen_and_the_arm_above_it(chro
     expect(tab.locator("#eb-banner")).to_have_attribute("data-mode", "stop")
     tab.get_by_role("button", name="Resume").tap()
     expect(tab.locator("#eb-banner")).to_have_attribute("data-mode", "idle")
-    context.close()
 
 
-def test_without_webgl_the_page_says_so_and_all_else_works(chromium: Any, served: Page, raw: VClient) -> None:
+def test_without_webgl_the_page_says_so_and_all_else_works(another: Callable[..., Any], served: Page, raw: VClient) -> None:
     raw.hand_back()
-    browser = chromium.browser_type.launch(executable_path=executable(), headless=True, args=[*FLAGS, "--disable-3d-apis"])
-    tab = browser.new_context(viewport={"width": 1000, "height": 620}).new_page()
+    tab = another("--disable-3d-apis").new_context(viewport=VIEWPORT).new_page()
     tab.goto(served.url, wait_until="commit")
     banner = tab.locator("#eb-banner")
     expect(banner).to_have_attribute("data-mode", "idle")
@@ -140,7 +139,6 @@ def test_without_webgl_the_page_says_so_and_all_else_works(chromium: Any, served
     expect(banner).to_have_attribute("data-mode", "stop")
     tab.get_by_role("button", name="Resume").click()
     expect(banner).to_have_attribute("data-mode", "idle")
-    browser.close()
 
 
 def test_help_is_served_with_each_equation(served: Page) -> None:

@@ -16,7 +16,7 @@ import pytest
 
 pytest.importorskip("rerun")
 
-from process import children
+from process import children, launched
 from test_repair import recorder_of
 from vclient import VClient, until
 
@@ -54,14 +54,14 @@ def test_a_page_that_is_killed_leaves_a_session_that_runs_again(tmp_path, capsys
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     command = [sys.executable, "-m", "app", "serve", "--port", str(port), "--scenario", "push", "--recordings", str(tmp_path)]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+    with launched(command, cwd=ROOT, stdout=subprocess.PIPE) as process:
         try:
             assert str(port) in next(line for line in process.stdout or () if "http://" in line), "it listens"
             client = VClient(port)
             until(lambda: client.ready.is_set() and client.banner()["mode"] == "idle" and client.seat(), 120.0)
             client.set("Images", "full")
             client.click("Record")
-            until(lambda: 'data-recording="true"' in client.text(), 30.0)
+            until(lambda: 'data-recording="true"' in client.text())
             client.set("f_relax [N]", 6.0)
             (folder,) = tmp_path.iterdir()
             begun = float(client.banner()["time"])
@@ -93,7 +93,7 @@ def test_a_run_that_is_killed_is_completed_under_its_own_name(tmp_path, capsys):
     out = tmp_path / "out"
     command = [sys.executable, "-m", "app", "run", "push", "--out", str(out), "--depth", "none", "--duration", "600"]
     rows = output.partial(out) / ROWS
-    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL) as process:
+    with launched(command, cwd=ROOT, stderr=subprocess.DEVNULL) as process:
         deadline = time.monotonic() + 120.0
         while not (rows.exists() and rows.stat().st_size > 500_000) and time.monotonic() < deadline:
             time.sleep(0.01)

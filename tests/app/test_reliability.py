@@ -61,7 +61,7 @@ def test_observer_that_fails_is_left_out_and_the_cell_goes_on(capfd: pytest.Capt
     mailbox, broken, sound, said = Mailbox(), Broken(100), Broken(10**9), list[str]()
     session = Session(mailbox, observers=(broken, sound), say=said.append)
     session.start("free")
-    until(lambda: mailbox.latest is not None and mailbox.latest.time > 0.5, 60.0)
+    until(lambda: mailbox.latest is not None and mailbox.latest.time > 0.5)
     assert session.status.phase is Phase.RUNNING
     session.put(Reset())
     until(lambda: mailbox.latest is not None and mailbox.latest.time < 0.4)
@@ -87,11 +87,11 @@ def test_a_cell_that_failed_is_made_anew_however_slow_who_asks_for_it(monkeypatc
     session = Session(mailbox, say=lambda _: None)
     monkeypatch.setattr(session, "_wanted", Late())
     session.start("free")
-    until(lambda: mailbox.latest is not None and mailbox.latest.time > 0.2, 60.0)
+    until(lambda: mailbox.latest is not None and mailbox.latest.time > 0.2)
     monkeypatch.setattr(session._cell, "step", None)
     until(lambda: session.status.phase is Phase.FAILED)
     session.reset()
-    until(lambda: session.status.phase is Phase.RUNNING and mailbox.latest is not None and mailbox.latest.time > 0.5, 60.0)
+    until(lambda: session.status.phase is Phase.RUNNING and mailbox.latest is not None and mailbox.latest.time > 0.5)
     session.close()
 
 
@@ -108,7 +108,7 @@ def test_a_stop_while_the_cell_is_built_finds_the_arm_at_its_first_step() -> Non
     session.start("free")
     session.put(Stop())
     assert "stand still" in session.status.text
-    until(lambda: len(cycles) > 50, 60.0)
+    until(lambda: len(cycles) > 50)
     assert {cycle.command.mode for cycle in cycles} == {Mode.STOP}
     np.testing.assert_allclose(cycles[-1].state.q, cycles[0].state.q, atol=1e-4)
     session.put(Resume())
@@ -129,7 +129,7 @@ def lone() -> Iterator[Page]:
 def test_an_exception_in_a_running_cell_stops_it_with_the_last_events_in_the_log(
         lone: Page, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     client = VClient(lone.server.get_port())
-    until(lambda: client.ready.is_set() and client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.3, 60.0)
+    until(lambda: client.ready.is_set() and client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.3)
     client.set("F_relax [N]", 9.0)
     until(lambda: "control.f_relax = 9" in client.text())
 
@@ -152,7 +152,7 @@ def test_an_exception_in_a_running_cell_stops_it_with_the_last_events_in_the_log
     assert "mine.toml" not in client.text(), "nothing was changed"
     assert "Traceback" in capfd.readouterr().err
     client.set("Simulation", "Reset")
-    until(lambda: client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.3, 60.0)
+    until(lambda: client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.3)
     assert "task: circle" in client.text(), "what had happened is still there to be read"
     client.close()
 
@@ -160,7 +160,7 @@ def test_an_exception_in_a_running_cell_stops_it_with_the_last_events_in_the_log
 def test_a_pause_while_a_cell_is_built_holds_for_it(served: Page, raw: VClient) -> None:
     served.session.open("push")
     raw.set("Simulation", "Pause")
-    until(lambda: served.session.status.phase is Phase.RUNNING and raw.banner()["paused"] == "true", 60.0)
+    until(lambda: served.session.status.phase is Phase.RUNNING and raw.banner()["paused"] == "true")
     begun = float(raw.banner()["time"])
     time.sleep(0.5)
     assert float(raw.banner()["time"]) == begun < 0.1
@@ -168,7 +168,7 @@ def test_a_pause_while_a_cell_is_built_holds_for_it(served: Page, raw: VClient) 
     raw.set("Simulation", "Play")
     until(lambda: float(raw.banner()["time"]) > 0.3)
     served.session.open("free")
-    until(lambda: served.session.status.phase is Phase.RUNNING and float(raw.banner()["time"]) > 0.3, 60.0)
+    until(lambda: served.session.status.phase is Phase.RUNNING and float(raw.banner()["time"]) > 0.3)
 
 
 def test_a_drag_that_time_waits_for_is_one_event_when_it_goes_on() -> None:
@@ -206,18 +206,17 @@ def test_system_clock_that_is_set_by_a_day_goes_unnoticed(
 
 @pytest.mark.browser
 def test_page_says_that_it_is_stale_when_its_server_is_killed_and_comes_back_without_the_focus(
-        chromium: Any, serve: Callable[[int], subprocess.Popen[bytes]]) -> None:
+        new_tab: Callable[..., Any], serve: Callable[[int], subprocess.Popen[bytes]]) -> None:
     port = free_port()
     first = serve(port)
-    until(lambda: answers(port), 60.0)
-    context = chromium.new_context(viewport={"width": 800, "height": 500})
-    tab = context.new_page()
+    until(lambda: answers(port))
+    tab = new_tab(viewport={"width": 800, "height": 500})
     tab.add_init_script(WITHOUT_FOCUS)
     tab.goto(f"http://127.0.0.1:{port}/?fixedDpr=0.25", wait_until="commit")
     banner, stale = tab.locator("#eb-banner"), tab.locator(".eb-stale")
-    expect(banner).to_have_attribute("data-mode", "idle", timeout=60_000)
+    expect(banner).to_have_attribute("data-mode", "idle")
     tab.evaluate(NOTES_STALE)
-    tab.wait_for_function("() => window.timely > 10", timeout=60_000)  # it has caught up with all that it had to load
+    tab.wait_for_function("() => window.timely > 10")  # it has caught up with all that it had to load
     expect(stale).to_be_hidden()
     cut = time.time()
     first.send_signal(signal.SIGKILL)
@@ -226,8 +225,7 @@ def test_page_says_that_it_is_stale_when_its_server_is_killed_and_comes_back_wit
     assert STALE - FRAME < said - told < STALE + BUSY
     assert said - cut < STALE + BUSY
     serve(port)
-    until(lambda: answers(port), 60.0)
-    tab.wait_for_function(f"() => window.told > {said}", timeout=60_000)
-    expect(stale).to_be_hidden(timeout=60_000)
-    expect(banner).to_have_attribute("data-mode", "idle", timeout=60_000)
-    context.close()
+    until(lambda: answers(port))
+    tab.wait_for_function(f"() => window.told > {said}")
+    expect(stale).to_be_hidden()
+    expect(banner).to_have_attribute("data-mode", "idle")

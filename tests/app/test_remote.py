@@ -62,14 +62,14 @@ def lone(tmp_path: Path) -> Iterator[tuple[Page, RemoteCell, list[str]]]:
 def moving(page: Page) -> VClient:
     """A client of the page, when its arm moves."""
     client = VClient(page.server.get_port())
-    until(lambda: client.ready.is_set() and client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.5, 60.0)
+    until(lambda: client.ready.is_set() and client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.5)
     return client
 
 
 def test_the_cell_goes_before_the_page_where_the_system_lets_it(served: Page) -> None:
     """Every thread of it, for they share an interpreter."""
     assert isinstance(served.session, RemoteCell)
-    until(lambda: served.session.status.phase is Phase.RUNNING, 60.0)
+    until(lambda: served.session.status.phase is Phase.RUNNING)
     lets = subprocess.run([sys.executable, "-c", f"import os; os.nice({URGENT})"], stderr=subprocess.DEVNULL, check=False)
     own, of_cell = os.getpriority(os.PRIO_PROCESS, 0), Path(f"/proc/{served.session.pid}/task").iterdir()
     begun_later = {os.getpriority(os.PRIO_PROCESS, int(task.name)) for task in of_cell} - {own}
@@ -94,7 +94,7 @@ def test_a_cell_whose_process_is_killed_fails_and_is_made_anew(lone: tuple[Page,
         cell.put(Stop())
     until(lambda: 'data-recording="false"' in client.text())
     client.set("Simulation", "Reset")
-    until(lambda: client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.3, 60.0)
+    until(lambda: client.banner()["mode"] == "idle" and float(client.banner()["time"]) > 0.3)
     assert cell.pid not in (None, before)
     assert page.session.healthy
     until(lambda: 0.4 < cell.factor < 0.6)  # as fast as was asked for
@@ -149,7 +149,7 @@ def test_what_the_cell_raises_is_raised_here(lone: tuple[Page, RemoteCell, list[
 @pytest.mark.live
 def test_nothing_but_the_state_is_sent_while_nobody_looks(lone: tuple[Page, RemoteCell, list[str]]) -> None:
     page, cell, _ = lone
-    until(lambda: page.latest is not None and page.latest.time > 1.0, 60.0)
+    until(lambda: page.latest is not None and page.latest.time > 1.0)
     assert page.latest is not None
     assert page.latest.views[0].frame is None
     client = moving(page)
@@ -170,9 +170,9 @@ def test_a_page_that_is_killed_leaves_no_cell_and_a_whole_recording(
         serve: Callable[..., subprocess.Popen[bytes]], tmp_path: Path) -> None:
     port = free_port()
     process = serve(port, "--recordings", str(tmp_path / "recordings"))
-    until(lambda: answers(port), 60.0)
+    until(lambda: answers(port))
     client = VClient(port)
-    until(lambda: client.ready.is_set() and client.banner()["mode"] == "idle", 60.0)
+    until(lambda: client.ready.is_set() and client.banner()["mode"] == "idle")
     client.click("Record")
     until(lambda: 'data-recording="true"' in client.text())
     time.sleep(1.0)

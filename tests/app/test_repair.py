@@ -12,6 +12,7 @@ import pytest
 
 pytest.importorskip("rerun")
 
+from process import launched
 from rerun.chunk import RrdReader
 
 from app.__main__ import main
@@ -129,7 +130,7 @@ def test_a_killed_recorder_leaves_a_recording_that_opens_and_misses_half_a_secon
     """Two cameras, every image. ELBOWROOM_KILLS: how often."""
     rng, torn, missing = np.random.default_rng(), 0, []
     command = [sys.executable, "-c", LIVE, str(Path(__file__).parent)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1) as process:
+    with launched(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=1) as process:
         for kill in range(KILLS):
             path = tmp_path / f"{kill}.rrd"
             process.stdin.write(f"{path}\n")

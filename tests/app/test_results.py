@@ -104,7 +104,7 @@ def robot(page):
 def test_the_choice_colours_the_robot_and_takes_it_back(page):
     client = VClient(page.server.get_port())
     until(lambda: client.ready.is_set() and client.seat() and "position" in client.nodes.get("/robot/link_4", {}))
-    until(lambda: client.banner()["mode"] == "idle", 60.0)
+    until(lambda: client.banner()["mode"] == "idle")
     client.set(LABEL, METRIC)
     until(lambda: "/robot/link_4/results" in client.nodes and f'data-metric="{METRIC}"' in client.text())
     assert {node.opacity for node in robot(page)} == {0.0}, "the skins are seen, and the links are still there to be pushed"
@@ -125,7 +125,7 @@ def test_a_choice_that_was_taken_back_before_it_was_drawn_is_not_shown(page, mon
         return skins(field)
 
     client = VClient(page.server.get_port())
-    until(lambda: client.ready.is_set() and client.banner()["mode"] == "idle" and client.widget(LABEL), 60.0)
+    until(lambda: client.ready.is_set() and client.banner()["mode"] == "idle" and client.widget(LABEL))
     monkeypatch.setattr(results, "skins", slow)
     client.set(LABEL, METRIC)
     assert begun.wait(5.0)
@@ -151,4 +151,3 @@ def test_a_robot_in_other_colours_can_be_pushed(page, chromium):
     tab.get_by_role("tab", name=re.compile("Contact")).click()
     assert any(pushed(tab) for _ in range(6)), "the banner never said RELAX or ABORT"
     tab.mouse.up()
-    tab.context.close()

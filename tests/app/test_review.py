@@ -82,10 +82,9 @@ def test_what_cannot_be_shown_is_said(folder, tmp_path, capsys, server):
 
 
 @pytest.mark.browser
-def test_the_viewer_shows_it_and_asks_no_other_host(server, chromium):
+def test_the_viewer_shows_it_and_asks_no_other_host(server, new_tab):
     """ELBOWROOM_SCREENSHOT=docs/review.png keeps what it looks like, at a time when the arm is touched."""
-    context = chromium.new_context(viewport={"width": 1280, "height": 800})
-    tab, asked = context.new_page(), []
+    tab, asked = new_tab(viewport={"width": 1280, "height": 800}), []
     tab.on("request", lambda request: asked.append(request.url))
     tab.on("console", lambda message: [event.set() for text, event in said.items() if text in message.text])
     said = {"wgpu": (drawn := threading.Event()), "session.rrd has finished": (loaded := threading.Event())}
@@ -99,8 +98,7 @@ def test_the_viewer_shows_it_and_asks_no_other_host(server, chromium):
         tab.mouse.click(1030, 786)  # near the end of the time line
         tab.mouse.move(640, 20)
         tab.wait_for_timeout(15_000)
-        tab.screenshot(path=picture, timeout=60_000)
-    context.close()
+        tab.screenshot(path=picture)
     assert drawn.is_set()
     assert {url.split("?")[0] for url in asked} >= {server.url, f"{server.url}0/session.rrd"}
     assert [url for url in asked if not url.startswith((server.url, "data:", "blob:"))] == []

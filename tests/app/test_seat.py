@@ -92,8 +92,8 @@ def test_who_is_gone_neither_sits_nor_asks(room: Room) -> None:
 
 def visitor(page: Page, token: str = TOKEN) -> VClient:
     client = VClient(page.server.get_port(), headers={"Authorization": f"Bearer {token}"})
-    assert client.ready.wait(5.0)
-    until(lambda: client.seat() and client.banner()["mode"] not in ("starting", "failed"), 60.0)
+    until(client.ready.is_set)
+    until(lambda: client.seat() and client.banner()["mode"] not in ("starting", "failed"))
     until(lambda: float(client.banner()["time"]) > 0.3 and client.position(ELBOW) is not None)
     return client
 
@@ -255,7 +255,7 @@ def test_browser_that_does_not_answer_loses_the_seat_at_once(keyed: Page, operat
     other = visitor(keyed)
     operator.alive = False
     other.click("Take control")
-    until(other.drives, 5.0)
+    until(other.drives)
     other.close()
 
 
@@ -266,5 +266,5 @@ def test_operator_that_says_nothing_loses_the_seat_in_time(
     other.click("Take control")
     until(lambda: operator.seat()["asking"] == other.seat()["visitor"])
     assert operator.drives()
-    until(other.drives, 5.0)
+    until(other.drives)
     other.close()

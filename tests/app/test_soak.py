@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from process import alive, children
+from process import alive, children, launched
 from vclient import until
 
 from app.endurance.health import GROWTH, Counted, Health, Sample, faults, summary
@@ -73,9 +73,8 @@ def test_threads_are_counted_that_python_does_not_know_of() -> None:
 
 
 def test_the_cells_process_counts_too() -> None:
-    with subprocess.Popen(["sleep", "60"]) as other:
+    with launched(["sleep", 60]) as other:
         own, both = (Health(Counted(1.0, 0), 1000, pid).take(Counted(2.0, 0), visitors=0) for pid in (None, other.pid))
-        other.kill()
     assert both.threads == own.threads + 1
     assert both.descriptors >= own.descriptors + 3
     assert both.memory > own.memory
@@ -112,13 +111,13 @@ def test_a_few_seconds_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 def test_who_ends_it_early_leaves_nobody_behind(tmp_path: Path, end: signal.Signals) -> None:
     out = tmp_path / "soak.json"
     command = [sys.executable, "-m", "app", "soak", "--hours", "1", "--browsers", "0", "--json", str(out)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as running:
-        until(lambda: len(children(running.pid)) >= 4, 60.0)  # cell, visitors, and what they need
+    with launched(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as running:
+        until(lambda: len(children(running.pid)) >= 4)  # cell, visitors, and what they need
         time.sleep(3.0)
         started = children(running.pid)
         running.send_signal(end)
         running.wait(120.0)
-        until(lambda: not any(alive(process) for process in started), 30.0)
+        until(lambda: not any(alive(process) for process in started))
         assert running.stdout is not None
         told = running.stdout.read()
     if end is signal.SIGTERM:

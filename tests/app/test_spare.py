@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from process import alive, children
+from process import alive, children, launched
 from vclient import until
 
 from app.serve import spare
@@ -33,10 +33,10 @@ def test_a_cell_takes_the_process_that_has_begun(tmp_path: Path) -> None:
         cell.start("free")
         assert cell.pid == begun.pid
         assert not spare._waiting
-        until(lambda: cell.config is not None, 60.0)
+        until(lambda: cell.config is not None)
     assert begun.is_alive()
     cell.close()
-    until(lambda: begun.exitcode == 0, 5.0)  # another thread waits for it, too: who comes second knows a little later
+    until(lambda: begun.exitcode == 0)  # another thread waits for it, too: who comes second knows a little later
 
 
 def test_one_that_nobody_took_ends_with_the_block() -> None:
@@ -61,14 +61,14 @@ def test_one_that_has_ended_meanwhile_is_not_taken() -> None:
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_it_ends_with_a_page_that_came_to_nothing(end: signal.Signals) -> None:
-    with subprocess.Popen([sys.executable, "-c", PREPARES], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as page:
+    with launched([sys.executable, "-c", PREPARES], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as page:
         assert page.stdout is not None
         assert page.stdout.readline() == "there\n"
         started = children(page.pid)
         assert started
         page.send_signal(end)
         page.wait()
-        until(lambda: not any(alive(process) for process in started), 60.0)
+        until(lambda: not any(alive(process) for process in started))
         assert page.stderr is not None
         said = page.stderr.read()
     assert said.count("Traceback") == (1 if end is signal.SIGINT else 0), said
