@@ -68,8 +68,8 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[Page]":
 
 
 @pytest.fixture(scope="module")
-def keyed(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[Page]":
-    """A page that asks for a token: target.TOKEN of who may drive, target.WATCH of who may watch."""
+def locked(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[Page]":
+    """What `keyed` lets run."""
     from app.serve.access import Access
     from app.serve.keys import Keys
     from app.serve.main import Page
@@ -108,9 +108,24 @@ def serve() -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
 @pytest.fixture
 def moving(served: "Page") -> "Iterator[Page]":
     """The page whose cell runs: while no test looks at it, it leaves the cores to pages of other tests."""
-    served.session.paused = False
-    yield served
-    served.session.paused = True
+    with _running(served):
+        yield served
+
+
+@pytest.fixture
+def keyed(locked: "Page") -> "Iterator[Page]":
+    """A page that asks for a token: target.TOKEN of who may drive, target.WATCH of who may watch; its cell runs likewise."""
+    with _running(locked):
+        yield locked
+
+
+@contextlib.contextmanager
+def _running(page: "Page") -> Iterator[None]:
+    page.session.paused = False
+    try:
+        yield
+    finally:
+        page.session.paused = True
 
 
 @pytest.fixture
@@ -186,7 +201,7 @@ def tab(new_tab: Callable[..., Any], served: "Page", raw: VClient, request: Any,
     tab.wait_for_selector("#eb-banner", timeout=PATIENCE_MS)
     tab.wait_for_function("() => window.__viserMutable?.nodeRefFromName?.['/robot/link_7']", timeout=PATIENCE_MS)
     yield tab
-    if request.node.report_call.failed:
+    if request.node.report_call.failed and not tab.is_closed():
         tab.screenshot(path=str(tmp_path / "page.png"))
         (tmp_path / "console.txt").write_text("\n".join(console))
         print(f"screenshot and console: {tmp_path}")

@@ -170,6 +170,8 @@ def test_a_session_of_pushes_drags_and_sliders_is_recorded_downloaded_and_replay
         assert packed.read(f"{name}/config.json") == (archive.folder(name) / "config.json").read_bytes()
     kinds = {json.loads(line)["event"]["type"] for line in (archive.folder(name) / "events.jsonl").read_text().splitlines()}
     assert kinds >= {"Pull", "Release", "SetParameter", "MoveObstacle"}
+    tab.context.close()
+    served.session.paused = True  # the cores are the replay's
     verdict, identical = exact(archive.folder(name))
     assert identical, verdict
     print(verdict, kinds)
