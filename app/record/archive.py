@@ -182,14 +182,7 @@ class Archive(Shelf):
         """Record from the next step on; the name. Raises ArchiveError or RecordingError if that cannot be."""
         if self._now is not None:
             raise ArchiveError(f"{self._now.folder.name} is being recorded")
-        stem = re.sub(r"[^\w-]+", "-", Path(scenario).stem)[:40] or "session"
-        folder = self.root / f"{stem}-{time.strftime('%Y%m%d-%H%M%S')}"
-        try:
-            folder.mkdir(parents=True)
-        except FileExistsError:
-            raise ArchiveError(f"{folder.name} has just been recorded; try again in a second") from None
-        except OSError as error:
-            raise ArchiveError(f"cannot record to {folder}: {error.strerror}") from None
+        folder = self._made(re.sub(r"[^\w-]+", "-", Path(scenario).stem)[:40] or "session")
         about = {"scenario": scenario, "seed": config.seed, "device": self._device, **about}
         try:
             made = Recording(folder, config, about, depth)
@@ -200,6 +193,20 @@ class Archive(Shelf):
             made.begin(self._log, self._changed, self._cycles)
             self._now = made
         return folder.name
+
+    def _made(self, stem: str) -> Path:
+        """A new folder, named by the time; a second one of the same second gets a number."""
+        folder = first = self.root / f"{stem}-{time.strftime('%Y%m%d-%H%M%S')}"
+        number = 1
+        while True:
+            try:
+                folder.mkdir(parents=True)
+                return folder
+            except FileExistsError:
+                number += 1
+                folder = first.with_name(f"{first.name}-{number}")
+            except OSError as error:
+                raise ArchiveError(f"cannot record to {folder}: {error.strerror}") from None
 
     def stop(self) -> str:
         """Finish the recording; the problem, if there was one. Raises ArchiveError if there is none."""

@@ -96,6 +96,20 @@ def test_thresholds_are_drawn_as_they_are_when_the_recording_begins(tmp_path, re
     assert set(drawn[-15:]) == {5.0}, "after a Reset all is as at the start"
 
 
+def test_two_recordings_of_one_second_have_two_names(tmp_path, monkeypatch):
+    archive, cell = Archive(tmp_path / "recordings"), Cell()
+    monkeypatch.setattr(time, "strftime", lambda _: "20260102-030405")
+    run(cell, pace.FreeRun(), Inbox(), [archive], until=10)
+    for name in ("free-20260102-030405", "free-20260102-030405-2", "free-20260102-030405-3"):
+        assert archive.start("free", cell.config, {}, "none") == name
+        run(cell, pace.FreeRun(), Inbox(), [archive], until=cell.tick + 20)
+        assert archive.stop() == ""
+    assert len(archive.names()) == 3
+    (archive.root.parent / "file").write_text("")
+    with pytest.raises(ArchiveError, match="cannot record to"):
+        Archive(archive.root.parent / "file").start("free", cell.config, {}, "none")
+
+
 def test_the_figures_say_how_many_images_were_kept(archive_of_images):
     figures = json.loads((archive_of_images / "metrics.json").read_text())
     assert figures["counts"]["depth_images"] >= 2

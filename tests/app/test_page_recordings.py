@@ -59,7 +59,6 @@ def test_what_follows_a_recording_is_about_that_one(served: Page, raw: VClient) 
         raw.click("End the recording")
         until(lambda: archive.now is None and len(archive.names()) > len(made))
         made.append(next(name for name in archive.names() if name not in made))
-        time.sleep(1.0)  # the next one's name has another second
         until(lambda: raw.value("Recording") == made[-1])
     raw.click("Delete")
     until(lambda: f"{made[1]} is gone" in raw.text())
