@@ -35,6 +35,10 @@ from app.serve.session import configured
 from hrc.errors import HrcError
 
 BROWSERS = 2
+FILES = 6
+"""Of the recording, at least: with the second the library that writes them begins four more threads, which stay. That has to be
+before anything counts.
+"""
 ROWS = 20
 """Lines of the printed table."""
 SCENARIO = "free"
@@ -42,7 +46,7 @@ SCENARIO = "free"
 
 @dataclass(frozen=True)
 class Job:
-    """What was asked for. rotate: minutes that one file of the recording holds."""
+    """What was asked for. rotate: minutes that one file of the recording holds, at most a FILES-th of the time."""
 
     hours: float
     out: Path | None = None
@@ -139,7 +143,7 @@ def _run(job: Job, folder: Path) -> dict[str, Any]:
         stack.enter_context(errors.listening())
         config = configured(SCENARIO, {}, job.seed)
         page = Page(SCENARIO, Access(port=0), seed=job.seed, say=errors.say,
-                    witness=partial(Keeper, config, SCENARIO, folder, 60.0 * job.rotate))
+                    witness=partial(Keeper, config, SCENARIO, folder, min(60.0 * job.rotate, seconds / FILES)))
         stack.callback(page.close)
         page.start()
         cell = page.session

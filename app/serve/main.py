@@ -5,6 +5,7 @@ import io
 import signal
 import sys
 import time
+import warnings
 import webbrowser
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -162,6 +163,8 @@ def serve(scenario: str = "free", access: Access = OWN, device: str = "cpu",
     told: list[int] = []  # an Event would lock up for good when a second signal comes in the middle of the first one's set()
     for number in (signal.SIGINT, signal.SIGTERM):  # SIGTERM would be lost on the first process of a container
         signal.signal(number, lambda number, _: told.append(number))
+    # A visitor who has just gone may be told one thing more; that it does not arrive is no news to who runs the page.
+    warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
     print("loading ...", flush=True)
     page = Page(scenario, access, device=device, settings=settings, seed=seed, say=lambda line: print(line, flush=True),
                 recordings=recordings, results=results)

@@ -121,13 +121,15 @@ def test_a_page_that_records_closes_the_recording_when_it_is_told_to_stop(
         assert health.main(url) == 1, "a process that stands still does not answer"
         process.send_signal(signal.SIGCONT)
         until(lambda: health.main(url) == 0)
+    else:
+        client.close()  # and the page may still be about to tell it something
     for _ in range(20):  # somebody is impatient
         process.send_signal(number)
     begin = time.monotonic()
     told, errors = process.communicate(timeout=30.0)
     assert time.monotonic() - begin < 10.0, "before whoever stops it loses patience"
     assert process.returncode == 0, errors
-    assert "Traceback" not in errors
+    assert errors == ""
     assert told.endswith("stopping ...\n")
     client.close()
     (folder,) = recordings.iterdir()
