@@ -13,7 +13,7 @@ from process import alive, children, launched
 from vclient import until
 
 from app.endurance.health import GROWTH, Counted, Health, Sample, faults, summary
-from app.endurance.soak import Errors, Job, soak
+from app.endurance.soak import FILES, Errors, Job, soak
 from hrc.errors import HrcError
 
 CALM = Sample(0.0, 500_000_000, 30, 10, 1.0, 0.0, 0, 3)
@@ -97,11 +97,12 @@ def test_tracebacks_and_logged_errors_are_collected(capsys: pytest.CaptureFixtur
 @pytest.mark.live
 def test_a_few_seconds_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Nothing is said about its speed: others use the machine."""
-    told = soak(Job(hours=12.0 / 3600.0, out=tmp_path / "out", json=tmp_path / "soak.json", seed=1, rotate=0.05, browsers=1))
+    told = soak(Job(hours=12.0 / 3600.0, out=tmp_path / "out", json=tmp_path / "soak.json", seed=1, browsers=1))
     assert [line for line in told if line.startswith("error")] == []
     printed = capsys.readouterr().out
     assert "join" in printed
     assert " push" in printed
+    assert int(printed.split("recording: ")[1].split()[0]) >= FILES / 2, "whatever a file holds in an hour"
     assert 1 <= len(list((tmp_path / "out").glob("*.rrd"))) <= 4
     assert (tmp_path / "soak.json").stat().st_size > 1000
 
