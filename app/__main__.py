@@ -286,7 +286,7 @@ def soak(hours: float = 1.0, out: Path | None = None, json: Annotated[Path | Non
         out: Folder for the recording, of which the last three files stay; a temporary one by default.
         json: File for all samples.
         seed: Seed of the cell's noise, and of what the visitors do.
-        rotate: Minutes that one file of the recording holds, at most a sixth of the time.
+        rotate: Minutes that one file of the recording holds, at most 5 and a sixth of the time.
         browsers: Chromiums that watch.
     """
     from app.endurance.soak import Job

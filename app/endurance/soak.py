@@ -25,8 +25,8 @@ from tqdm import tqdm
 from app.bench.report import check, write
 from app.client import ELSEWHERE
 from app.endurance.crowd import riot
-from app.endurance.health import Health, Sample, faults, summary
-from app.endurance.keeper import Keeper
+from app.endurance.health import SETTLED, Health, Sample, faults, summary
+from app.endurance.keeper import Keeper, Recorded
 from app.endurance.onlookers import watch
 from app.serve.access import Access
 from app.serve.main import Page
@@ -46,7 +46,7 @@ SCENARIO = "free"
 
 @dataclass(frozen=True)
 class Job:
-    """What was asked for. rotate: minutes that one file of the recording holds, at most a FILES-th of the time."""
+    """What was asked for. rotate: minutes that one file of the recording holds, at most 5, and a FILES-th of the time."""
 
     hours: float
     out: Path | None = None
@@ -143,7 +143,7 @@ def _run(job: Job, folder: Path) -> dict[str, Any]:
         stack.enter_context(errors.listening())
         config = configured(SCENARIO, {}, job.seed)
         page = Page(SCENARIO, Access(port=0), seed=job.seed, say=errors.say,
-                    witness=partial(Keeper, config, SCENARIO, folder, min(60.0 * job.rotate, seconds / FILES)))
+                    witness=partial(Keeper, config, SCENARIO, folder, min(60.0 * job.rotate, seconds / FILES, SETTLED / 2)))
         stack.callback(page.close)
         page.start()
         cell = page.session
@@ -167,7 +167,7 @@ def _run(job: Job, folder: Path) -> dict[str, Any]:
             _sample(health, page, cell, seconds)
         except (Exception, KeyboardInterrupt) as error:
             errors.found.append(f"soak: {type(error).__name__}: {error}")
-            if cell.pid is not None:
+            with contextlib.suppress(HrcError):  # the cell may have ended, too
                 health.take(cell.ask("counted"), visitors=len(page.server.get_clients()))
         over.set()
         done, failed, said = {}, {}, []
@@ -176,13 +176,16 @@ def _run(job: Job, folder: Path) -> dict[str, Any]:
             cell.paused = True
             rests.set()
             said = tabs.result(timeout=120.0) if tabs is not None else []
-        except Exception as error:
+        except (Exception, KeyboardInterrupt) as error:
             errors.found.append(f"visitors: {type(error).__name__}: {error}")
         errors.found += said
-        recorded = asdict(cell.ask("finish"))
+        try:
+            recorded = cell.ask("finish")
+        except HrcError as error:
+            recorded = Recorded(0, 0, str(error))
         return {"conditions": {"seconds": seconds, "browsers": job.browsers, "seed": job.seed}, **summary(health.samples),
                 "done": done, "failed": failed, "refused": dict(page.guard.refused), "errors": _once(errors.found),
-                "recording": recorded}
+                "recording": asdict(recorded)}
 
 
 def _begin_elsewhere() -> None:
@@ -199,10 +202,13 @@ def _end_together() -> None:
 
 
 def _await(ready: threading.Event, tabs: "Future[list[str]]") -> None:
-    """Wait until the browsers see the arm. Raises what keeps them from it."""
+    """Wait until the browsers see the arm. Raises what keeps them from it, as HrcError what the user can mend."""
     while not ready.wait(0.2):
         if tabs.done():
-            tabs.result()
+            try:
+                tabs.result()
+            except (FileNotFoundError, TimeoutError) as error:  # no Chromium, or one that never gets there
+                raise HrcError(str(error)) from None
 
 
 def _sample(health: Health, page: Page, cell: RemoteCell, seconds: float) -> None:
@@ -232,7 +238,7 @@ def table(found: dict[str, Any]) -> Iterator[str]:
            f"({100 * found['memory_growth']:+.1f} %), descriptors {found['descriptors'][0]:.0f} to "
            f"{found['descriptors'][1]:.0f}, threads {found['threads'][0]:.0f} to {found['threads'][1]:.0f}")
     yield (f"real-time factor {found['real_time_factor']:.3f}, worst sample {found['worst_factor']:.3f}; "
-           f"{found['lost_s']:.1f} s dropped; {found['images_dropped']} depth images dropped")
+           f"{found['lost_s']:.1f} s not made good; {found['images_dropped']} depth images dropped")
     yield "visitors: " + ", ".join(f"{number} {name}" for name, number in sorted(found["done"].items()))
     yield from (f"  did not work out: {number} {name}" for name, number in found["failed"].items())
     yield "turned away: " + (", ".join(f"{number} {why}" for why, number in found["refused"].items()) or "nothing")

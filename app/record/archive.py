@@ -198,15 +198,17 @@ class Archive(Shelf):
         """A new folder, named by the time; a second one of the same second gets a number."""
         folder = first = self.root / f"{stem}-{time.strftime('%Y%m%d-%H%M%S')}"
         number = 1
-        while True:
-            try:
-                folder.mkdir(parents=True)
-                return folder
-            except FileExistsError:
-                number += 1
-                folder = first.with_name(f"{first.name}-{number}")
-            except OSError as error:
-                raise ArchiveError(f"cannot record to {folder}: {error.strerror}") from None
+        try:
+            self.root.mkdir(parents=True, exist_ok=True)  # a link that leads nowhere exists, too
+            while True:
+                try:
+                    folder.mkdir()
+                    return folder
+                except FileExistsError:
+                    number += 1
+                    folder = first.with_name(f"{first.name}-{number}")
+        except OSError as error:
+            raise ArchiveError(f"cannot record to {folder}: {error.strerror}") from None
 
     def stop(self) -> str:
         """Finish the recording; the problem, if there was one. Raises ArchiveError if there is none."""

@@ -108,6 +108,9 @@ def test_two_recordings_of_one_second_have_two_names(tmp_path, monkeypatch):
     (archive.root.parent / "file").write_text("")
     with pytest.raises(ArchiveError, match="cannot record to"):
         Archive(archive.root.parent / "file").start("free", cell.config, {}, "none")
+    (archive.root.parent / "nowhere").symlink_to(archive.root.parent / "missing" / "folder")
+    with pytest.raises(ArchiveError, match="cannot record to"):
+        Archive(archive.root.parent / "nowhere").start("free", cell.config, {}, "none")
 
 
 def test_the_figures_say_how_many_images_were_kept(archive_of_images):
