@@ -101,13 +101,17 @@ def _remote(cluster: Cluster, stack: ExitStack) -> Any:
 
 
 def _knock(address: str) -> None:
-    """A Client that finds nobody leaves the thread of its loop behind. Raises OSError if nobody listens within PATIENCE, ValueError without a port."""
+    """A Client that finds nobody leaves the thread of its loop behind.
+
+    Raises OSError if nobody listens within PATIENCE, ValueError for an address without a port.
+    """
     where, deadline = urlsplit(address), time.monotonic() + PATIENCE
     if where.port is None:
         raise ValueError(f"missing port number in address {address}")
     while True:
         try:
-            return socket.create_connection((where.hostname or "", where.port), timeout=max(LOOK, deadline - time.monotonic())).close()
+            left = max(LOOK, deadline - time.monotonic())
+            return socket.create_connection((where.hostname or "", where.port), timeout=left).close()
         except OSError:
             if time.monotonic() > deadline:
                 raise

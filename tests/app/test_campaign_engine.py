@@ -229,6 +229,11 @@ def _listens(port: int) -> bool:
         return door.connect_ex(("127.0.0.1", port)) == 0
 
 
+def test_an_address_without_a_port_is_said_at_once() -> None:
+    with pytest.raises(CampaignError, match="missing port number in address tcp://127.0.0.1"), engine(Cluster("tcp://127.0.0.1")):
+        pass
+
+
 def test_an_unreachable_scheduler_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine_module, "PATIENCE", 1.0)
     before = set(threading.enumerate())
