@@ -230,7 +230,7 @@ def _listens(port: int) -> bool:
 
 
 def test_an_address_without_a_port_is_said_at_once() -> None:
-    with pytest.raises(CampaignError, match="missing port number in address tcp://127.0.0.1"), engine(Cluster("tcp://127.0.0.1")):
+    with pytest.raises(CampaignError, match="missing port number in address tcp:"), engine(Cluster("tcp://127.0.0.1")):
         pass
 
 
