@@ -144,7 +144,7 @@ class Engine:
         """Their addresses, now. Raises LostError if the scheduler does not say."""
         try:
             found = sorted(self._client.scheduler_info(n_workers=-1)["workers"])
-        except (OSError, RuntimeError, TimeoutError):
+        except (OSError, RuntimeError, TimeoutError, ValueError):  # the last of tornado, of a handshake that was broken off
             found = None
         if found is None or self._client.status != "running":
             raise LostError("the scheduler is gone; the records so far are kept, and the same command goes on from there")
