@@ -183,6 +183,8 @@ def _run(job: Job, folder: Path) -> dict[str, Any]:
             recorded = cell.ask("finish")
         except HrcError as error:
             recorded = Recorded(0, 0, str(error))
+        if not health.samples:
+            raise HrcError("; ".join(["it ended before there was anything to tell", *_once(errors.found)]))
         return {"conditions": {"seconds": seconds, "browsers": job.browsers, "seed": job.seed}, **summary(health.samples),
                 "done": done, "failed": failed, "refused": dict(page.guard.refused), "errors": _once(errors.found),
                 "recording": asdict(recorded)}
@@ -195,7 +197,11 @@ def _begin_elsewhere() -> None:
 
 
 def _end_together() -> None:
-    """This process ends with the one that started it, however that ended: no browser is left behind."""
+    """This process ends with the one that started it, however that ended, and not before: no browser is left behind, and a
+    signal to all of them at once does not take from the first one what it still has to tell.
+    """
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     assert parent is not None
     threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
